@@ -8,7 +8,8 @@ dropped, so its cost is that of a loop that drops as many. Time is virtual: the 
 from dataclasses import replace
 
 import taciturn
-from taciturn_udp.run import NetworkRun, losses
+from taciturn_udp.relay import losses
+from taciturn_udp.result import NetworkRun
 
 NAME, SEEDS = "lossy-double-integrator", range(2)
 problem = taciturn.load(NAME)

@@ -25,7 +25,6 @@ from taciturn.model.information import INFORMED
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Decide, Send
 from taciturn.model.trigger import Trigger
-from taciturn.nodes.python_control import to_control
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.lower import LOWERED
@@ -33,9 +32,10 @@ from taciturn.program.node import lower_node
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import average
 from taciturn_channel.classes import CHANNELS
+from taciturn_control.systems import to_control
 from taciturn_export.fmu import print_fmu
 from taciturn_export.folder import print_folder
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 from taciturn_worlds.world import World
 
 LEARNT = (SIMULATED, LOWERED, INFORMED)

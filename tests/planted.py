@@ -80,9 +80,9 @@ DEFECTS = {
     ),
     # of the engine
     "copies of paths are too heavy": Planted(
-        "simulation/violations.py",
-        "return np.power(float(_COPIES), -self._level.astype(np.float64))",
-        "return np.power(float(_COPIES), -0.98 * self._level.astype(np.float64))",
+        "../taciturn_rare/splitting.py",
+        "return np.power(float(COPIES), -self._level.astype(np.float64))",
+        "return np.power(float(COPIES), -0.98 * self._level.astype(np.float64))",
     ),
     "a difference of the fast build is a sum": Planted(
         "program/llvm.py", 'if op.name == "sub" and first:', 'if op.name == "subtract" and first:'

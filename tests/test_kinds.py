@@ -18,7 +18,7 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind
 from taciturn.model.disturbance import follow
 from taciturn.model.signals import ExternalDisturbance, RandomSteps, Timetable
-from taciturn.problem.draft import example_of
+from taciturn_new.draft import example_of
 
 A, B, W, C, V = [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2), [[1.0, 0.0]], [[0.1]]
 F, FW = [[0.0, 1.0], [0.0, 0.0]], np.diag([0.0, 2.5])

@@ -22,10 +22,10 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.disturbance import Reference
 from taciturn.model.estimate import Estimate
-from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent, is_entry
 from taciturn_events.policy import EventPolicy
 from taciturn_limits.optimal_kind import OptimalPolicy
+from taciturn_new.draft import example_of
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]
 COST = Cost(np.eye(2), [[0.5]])

@@ -36,18 +36,16 @@ _HOME = {
     "controller_from": "model.controller",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
-    "from_control": "nodes.python_control",
     "integrate": "model.dynamics",
     "linearise": "model.dynamics",
     "load": "problem",
     "plant_from": "model.state_space",
     "simulate": "simulation.trajectory",
-    "to_control": "nodes.python_control",
     "tradeoff": "study.tradeoff",
     "tune": "study.tune",
 }
 _ADDED = "taciturn.functions"  # entry points of functions that packages beside this one add, such as taciturn.sweep
-_BESIDE = ("certify", "export_c", "export_fmu", "run_network", "share_channel", "sweep")
+_BESIDE = ("certify", "export_c", "export_fmu", "from_control", "run_network", "share_channel", "sweep", "to_control")
 __all__ = ["__version__", "design", *_BESIDE, *_HOME]  # noqa: F822  # pyright: ignore[reportUnsupportedDunderAll]  # all of them are imported when asked for
 
 

@@ -25,8 +25,6 @@ from taciturn.model.state_space import plant_from as plant_from
 from taciturn.model.theory import Guarantee as Guarantee
 from taciturn.model.theory import Theory as Theory
 from taciturn.model.trigger import Trigger as Trigger
-from taciturn.nodes.python_control import from_control as from_control
-from taciturn.nodes.python_control import to_control as to_control
 from taciturn.nodes.together import Nodes as Nodes
 from taciturn.problem import Problem as Problem
 from taciturn.problem import load as load
@@ -39,6 +37,8 @@ from taciturn.study.tradeoff import tradeoff as tradeoff
 from taciturn.study.tune import tune as tune
 from taciturn_certify.certify import certify as certify
 from taciturn_channel.share import share_channel as share_channel
+from taciturn_control.systems import from_control as from_control
+from taciturn_control.systems import to_control as to_control
 from taciturn_export.export import export_c as export_c
 from taciturn_export.export import export_fmu as export_fmu
 from taciturn_sweep.sweep import sweep as sweep

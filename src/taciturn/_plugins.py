@@ -9,6 +9,7 @@
 | `taciturn.kinds` | name of the policy kind | its record, a `taciturn.design.kind.Kind` |
 | `taciturn.problems` | any | package that contains problem files, which are built in |
 | `taciturn.quadratures` | `jumps` | function that solves a chain whose noise consists of jumps |
+| `taciturn.violations` | `limits` | function that estimates how often a loop violates limits of its states |
 | `taciturn.wires` | name of the wire | function that returns the encoder and decoder of a node |
 """
 

@@ -13,6 +13,7 @@ from taciturn._arrays import choice as choice
 from taciturn._arrays import count as count
 from taciturn._arrays import frozen as frozen
 from taciturn._arrays import instance as instance
+from taciturn._arrays import is_definite as is_definite
 from taciturn._arrays import number as number
 from taciturn._arrays import semidefinite as semidefinite
 from taciturn._arrays import square as square
@@ -32,7 +33,9 @@ from taciturn._files import temporary_folder as temporary_folder
 from taciturn._files import why_unreadable as why_unreadable
 from taciturn._files import write_whole as write_whole
 from taciturn._modes import balancing as balancing
+from taciturn._modes import closure as closure
 from taciturn._modes import factor as factor
+from taciturn._modes import pace as pace
 from taciturn._modes import radius as radius
 from taciturn._modes import root as root
 from taciturn._plugins import find_plugins as find_plugins

@@ -1,10 +1,8 @@
 """Linear matrix inequalities: a solver finds a solution, which is then proved.
 
-The left side of each inequality is enclosed for the solution as it is stored: in double precision with bounds on every
-rounding, and in balls where these bounds are too wide. An inequality counts only if its enclosure is proved to be
-definite.
-
-Typed interface to cvxpy and Clarabel, optional dependencies that solve linear matrix inequalities.
+cvxpy and Clarabel, optional dependencies, find a solution (``Minimum``). The left side of each inequality is enclosed
+for the solution as it is stored: in double precision with bounds on every rounding, and in balls where these bounds are
+too wide. An inequality counts only if its enclosure is proved to be definite.
 """
 
 from __future__ import annotations

@@ -1,6 +1,16 @@
-"""Loops that share a channel: their controllers, and their common step.
+"""The loops that share a channel, their common step, and the cost of their periodic control.
 
-Periodic control of several loops on a shared channel: exact cost of every send interval, and optimal rates.
+``gather`` reads the loops from problems. A loop of a class checks its error e⁺ = F e + w at every m-th step of the
+channel; a check without a send costs e'Γe beyond the cost with every send (``Kind``).
+
+Periodic control sends at every k-th check. At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F
+P_{j−1} F' + W and P_0 = 0, so that an interval of k checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1)
+both intervals alternate, so that S is linear in between (``Clocked``). The mean cost per check is a convex function of
+the rate. So one price μ per send separates the problem of several classes: each uses the interval k with the least
+(S(k) + μ)/k, the first one with k w_k − S(k) ≥ μ. At the price where the load crosses the capacity, time is shared
+between the intervals just below and just above this price (``allocate``). No periodic schedule in any order has a lower
+cost, but none may attain it, as the sends of loops with different intervals meet in some steps. A schedule in which
+each class has slots of its own is attained (``allocate_slots``).
 """
 
 from __future__ import annotations
@@ -12,7 +22,6 @@ from heapq import heapify, heappop, heappush
 from math import gcd, lcm
 
 import numpy as np
-import numpy.typing as npt
 
 from taciturn.analyse.renewal import resets
 from taciturn.design.prediction import modelled
@@ -26,22 +35,17 @@ from taciturn.model.trigger import Form
 from taciturn.problem import Problem
 from taciturn.problem.bare import as_problem
 from taciturn.study.evaluation import Unit, cost_unit, rate_unit
+from taciturn_channel.simulated import Places
 from taciturn_limits.fitted import decayed
 
 LONGEST_INTERVAL = 1 << 17  # most checks between two sends; an error with a longer interval is never sent
 FIRST = 64  # intervals that are computed first; their number is doubled when needed
 SETTLED = 1e-15  # relative distance of a cost per check from its limit below which it equals the limit
 HALVINGS = 200
-Places = npt.NDArray[np.int64]
 
 
 class Clocked:
-    """An error e⁺ = F e + w that a periodic send resets at every k-th check and that costs e'Γe at all other checks.
-
-    At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
-    checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
-    between.
-    """
+    """An error e⁺ = F e + w that a periodic send resets at every k-th check and that costs e'Γe at all other checks."""
 
     def __init__(self, F: Array, noise: Array, Gamma: Array) -> None:
         """Compute the first intervals."""
@@ -72,12 +76,7 @@ class Clocked:
         return np.where(intervals <= most, self._sums[np.minimum(intervals, most) - 1], np.inf)
 
     def interval(self, price: float) -> float:
-        """Return the optimal number of checks between sends for a given price per send; infinity if no send pays off.
-
-        It is the k with the least (S(k) + price)/k.
-
-        The result is the first k with k w_k − S(k) ≥ price; the left-hand side increases with k.
-        """
+        """Return the optimal number of checks between sends for a price per send; infinity if no send pays off."""
         while True:
             count = np.arange(1, len(self._weights) + 1)
             with np.errstate(over="ignore", invalid="ignore"):  # infinite values are sorted last
@@ -133,13 +132,7 @@ class Allocation(Displayed):
 
 
 def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
-    """Return the rates of all classes of loops that minimise the total cost, with at most ``capacity`` sends per step.
-
-    The mean cost per check is a convex function of the rate. So one price μ per send separates the problem: every class
-    uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between
-    the intervals just below and just above this price. No periodic schedule in any order has a lower cost, but none may
-    attain it (``allocate_slots``): the sends of loops with different intervals meet in some steps.
-    """
+    """Return the rates of all classes that minimise the total cost, with at most ``capacity`` sends per step."""
     counts = np.array([sharer.count / sharer.every for sharer in sharers])
     if counts.sum() <= capacity:
         return Allocation(np.ones(len(sharers)), 0.0, np.zeros(len(sharers)))

@@ -1,4 +1,21 @@
-"""Rates of loops as a function of the price per send; the price for a given load, and a lower bound."""
+"""Rates of loops as a function of the price per send; the price for a given load, and a lower bound.
+
+At a price λ per send, each loop alone has a nearly optimal schedule: that of a fitted value function
+(``taciturn_limits.fitted``), or the best threshold if sends are too rare for a fit. Its rate is simulated. The load of
+all loops falls with the price, and the common price is that at which it equals the capacity.
+
+A lower bound on the cost of any scheduler, even with full information, is the dual function at any price. Let g_i be
+the least mean of e'Γe + λσ over the checks of a loop alone, where σ is 1 at a send, with one check in m_i steps. Then
+
+    Σ J_i ≥ Σ (J_all,i + g_i(λ)/m_i) − λ·capacity.
+
+The g_i are bounded from below by quadrature in one or two dimensions, by sampling (``taciturn_limits.dual``) in more,
+or by the tail of the error if sends are rare. The confidence applies only to the sum of the sampled bounds.
+
+Prices of the table are half an octave apart; in between, log rate is interpolated linearly in log price. Kinds with
+equal matrices are computed once. The estimates of a kind depend only on its matrices and the seed, and the draws of
+different kinds are independent.
+"""
 
 from __future__ import annotations
 
@@ -95,12 +112,7 @@ class DualBound(Displayed):
 
 
 class Curves:
-    """Rates of nearly optimal schedules of several kinds of loops over the price per send, tabulated on demand.
-
-    Prices of the table are half an octave apart; in between, log rate is interpolated linearly in log price. Kinds with
-    equal matrices are computed once. The estimates of a kind depend only on its matrices and the seed, and the draws of
-    different kinds are independent.
-    """
+    """Rates of nearly optimal schedules of several kinds of loops over the price per send, tabulated on demand."""
 
     def __init__(
         self,
@@ -133,9 +145,7 @@ class Curves:
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return the schedule of each kind of loops at a price per send and, if a confidence is given, its lower
-        bound.
-        """
+        """Return the schedule of each kind of loops at a price and, if a confidence is given, its lower bound."""
         found = self._ask(_settle, price, confidence, self._precise(price) if confidence else 0.0)
         return [found[which] for which in self._which]
 
@@ -163,15 +173,7 @@ class Curves:
         return float(2.0 ** (place / PER_OCTAVE))
 
     def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = LEVEL) -> DualBound:
-        """Return a lower bound on the cost of any scheduler of these loops at a capacity, even with full information.
-
-        It is the dual function at a price λ per send. Let g_i be the least mean of e'Γe + λσ over the checks of a loop
-        alone, with one check in m_i steps. Then
-
-            Σ J_i ≥ Σ (J_all,i + g_i(λ)/m_i) − λ·capacity.
-
-        The confidence applies only to the sum of the sampled bounds.
-        """
+        """Return a lower bound on the cost of any scheduler of these loops at a capacity."""
         from taciturn_limits.dual import SampledDual, bound_sum
 
         base = sum(kind.count * kind.cost_all_time for kind in self.kinds)

@@ -1,11 +1,16 @@
 """Schedulers of a channel: their trigger and access rules, and the measurement of their cost.
 
-Exact cost of a schedule of a shared channel that repeats: a stretch of time division, repeated for ever.
+A scheduler has an urgency, a function of the error of each kind of loops, and an access rule, which decides what loops
+send (``Plan``). ``Game`` has the references for all of them: the best periodic allocation, and the common price per
+send at which the expected load equals the capacity, with its lower bound.
 
-Between two sends, k checks apart, a loop costs S(k) (``Clocked``). The times at which time division sends depend on no
-error. So each stretch of T steps of it, repeated, is a periodic schedule. Its cost is the sum of S over the intervals
-of all loops, divided by T. The interval around the end of the stretch, from the last send to the first one of the next
-repetition, is one of them.
+The best periodic allocation is a bound that no schedule may attain. Best schedules found are slots of its own for each
+kind, and a stretch of time division, repeated for ever (``best_stretch``). Between two sends, k checks apart, a loop
+costs S(k) (``classes.Clocked``), and the times at which time division sends depend on no error. So each stretch of T
+steps of it is a periodic schedule, whose cost is the sum of S over the intervals of all loops, divided by T. The
+interval around the end of the stretch, from the last send to the first one of the next repetition, is one of them.
+
+``measure`` simulates several channels side by side until the sum of costs has the requested standard error.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Many loops on one channel: scheduling, cost, lower bound, and comparison with periodic allocations.
+"""Many loops on one channel, with a bound below the cost of every scheduler: ``taciturn.share_channel`` and its result.
 
-Many loops on one channel, with a bound below the cost of every scheduler.
-
-``share`` compares schedulers of loops in classes (``loop_classes``), at the price of a send at which their load equals
-the capacity (``prices``). ``schedulers`` combine a rule of ``access`` with the urgency of each loop; ``simulated`` runs
-the errors of all loops.
+The loops of ``classes`` share the channel by one of the ``schedulers``, whose cost is measured by simulation. It is
+compared with the best periodic control and with the lower bound at the price of a send at which the load equals the
+capacity (``prices``).
 """
 
 from __future__ import annotations

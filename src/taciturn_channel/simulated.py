@@ -1,6 +1,12 @@
 """Simulation of many loops on a shared channel, where an access rule selects the loops that send at each step.
 
-Access rules that decide which loops are allowed to send on a shared channel, one class for each rule.
+Each loop has the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe, by completion of squares
+(``Group``). It requests a send if its urgency is above 0. One class for each access rule decides which loops send:
+those with the highest urgency, in turn, each at its own rate, or at random with collisions.
+
+Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and their
+programs differ only in their constants (``Cohort``). Loop i of channel k has the draws of path i·channels + k of the
+seed, for any grouping.
 """
 
 from __future__ import annotations
@@ -165,14 +171,7 @@ class Stretch(Displayed):
 
 
 class SharedChannel:
-    """Step-by-step simulation of loops that share channels.
-
-    The cost beyond that of sending every sample comes from completed squares.
-
-    Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and
-    their programs differ only in their constants. Loop i of channel k has the draws of path i·channels + k of the seed,
-    for any grouping.
-    """
+    """Step-by-step simulation of loops that share channels."""
 
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
         """Start with errors of 0."""

@@ -1,15 +1,18 @@
 """Mean interval between sends and mean cost per second, by simulation of the cycles between sends.
 
-When enough cycles are counted, every path is run until its current cycle has ended. The number of counted cycles is
-then a stopping time. By Wald's identity, durations and costs have no bias from a last cycle that is cut short.
+The mean cost per second is E[∫_0^θ e'Se ds]/E[θ] for intervals θ between sends. When enough cycles are counted, every
+path is run until its current cycle has ended. The number of counted cycles is then a stopping time. By Wald's identity,
+durations and costs have no bias from a last cycle that is cut short. The standard error of the ratio comes from the
+spread over independent paths.
 
-Simulation of an error that an integral trigger checks every τ seconds, with jumps or Wiener noise.
+The times of the sends of a ``JumpProcess`` are exact (``events``). A ``SampledProcess`` is checked every τ seconds,
+with jumps or Wiener noise. Its cost in an interval is the conditional expectation given the errors at the checks:
+e'Γ(τ)e for a period that begins with the error e, plus the mean cost of the noise of a period. So E[cost]/E[θ] equals
+the value of the loop exactly. At each check the expected cost of the next period is available, and the state is sent
+before the cost exceeds the allowed value: at the first time t with cost + e'Γe + noise > c min(t + τ, ε), never before
+h_min, and no later than the last check before h_max.
 
-The cost of an interval is its conditional expectation given the errors at the checks: e'Γ(τ)e for a period that begins
-with the error e, plus the mean cost of the noise of a period. So E[cost]/E[θ] equals the value of the loop exactly. At
-each check the expected cost of the next period is available, and the state is sent before the cost exceeds the allowed
-value: at the first time t with cost + e'Γe + noise > c min(t + τ, ε), never before h_min, and no later than the last
-check before h_max.
+Source: khashooei2017
 """
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
 """Simulation of an error with Poisson jumps from one send to the next, with exact event times.
 
-Between jumps the trigger function is a polynomial of time. This function is evaluated on short pieces of time, in
-the Bernstein basis. One step of the program is one attempt at one piece, on each path:
+Between jumps ė = A e, so that the trigger function is a power series of time, which ends if A is nilpotent. On a short
+piece of time it is a polynomial, to rounding (``TaylorMotion``). In the Bernstein basis, Σ m_k x^k = Σ b_j B_j(x) for
+0 ≤ x ≤ 1. Its values lie between the least and the largest b_j. The number of its roots in (0, 1) is at most the number
+of sign changes of the b_j, and has the same parity.
+
+One step of the program is one attempt at one piece, on each path:
 
 1. All coefficients are negative: no send on the piece. The path advances over it, and jumps where it ended at a jump.
 2. The coefficients change sign once: one crossing. Newton's method finds it, and the cycle ends there. If the sign does
@@ -13,11 +17,6 @@ trigger function that touches its threshold from below fires if its value is not
 
 Only jumps consume random numbers. Therefore the k-th jump of a path has the same time and size under every trigger,
 which makes comparisons of triggers precise.
-
-Program operations on polynomials in time: proof that a polynomial has no root, or search for a root.
-
-A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in the Bernstein basis. Its values lie between the least and the
-largest b_j. The number of roots in (0, 1) is at most the number of sign changes of the b_j, and has the same parity.
 """
 
 from __future__ import annotations

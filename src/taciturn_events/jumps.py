@@ -1,12 +1,28 @@
 """Send rate and excess cost of an error with normally distributed jumps at Poisson times, by quadrature.
 
-Linear renewal equations of an error with jumps, and the distribution of the intervals between sends.
+The error is checked every τ seconds, and is not sent while it lies in the set E of all e with e'Ψe ≤ δ. With the
+probability q = e^{−λτ}, a period is without a jump, and then e⁺ = F e exactly. So an expectation over later checks is
+discontinuous wherever F^j e leaves E. After a jump it is smooth, since the density of the jumps makes it so. The
+renewal equations are therefore written for errors after a jump. Let p be the density of the error after a period with a
+jump, whose integral is the probability 1 − q of a jump, and v the expected sum over the checks from the next jump on,
+times the probability that a jump occurs in the next period. The error is still unsent after j checks without a jump if
+e, Fe, …, F^j e ∈ E, so that
 
-Renewal equations for a two-dimensional error with Poisson jumps, by integration along rays.
+    v = Σ_j q^j ∫ p(e) (a + v)(F^j e) de   over these e,
 
-The integrals are split at the edges of the set of unsent errors.
+with a = 1 to count checks and a = e'Γe for costs. From the error 0 after a send they give the mean number of checks and
+the mean cost of a cycle, and by recursion over the checks the distribution of the intervals (``Sums``).
 
-Renewal equations for a scalar error with Poisson jumps, by quadrature over the interval of unsent errors.
+A few even polynomials represent v, and every integral is split at the edges of the sets:
+
+* A scalar error (``Line``): Gauss-Legendre nodes on the interval of unsent errors. The density is the Fourier series of
+  its characteristic function.
+* An error in the plane (``Plane``), scaled so that its increment over a period has unit covariance: along rays from
+  each node. The integral over the angle is split at the tangents to the sets and at the directions of their corners,
+  between which chords depend smoothly on the angle. A long set is truncated where hardly any error comes.
+  ``jump_density`` has the density along the rays.
+
+``solve_jumps`` reduces the error to the directions that matter, and refines the nodes until two results agree.
 """
 
 from __future__ import annotations
@@ -39,15 +55,7 @@ STEADY = 1e-12  # relative change of the decay factor per check below which the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sums(Displayed):
-    """Renewal equations of an error with jumps, as integrals over the error increment in a period with a jump.
-
-    Each row starts at one node, the last row at the error 0.
-
-    Let v(x) be the expected sum over the checks from the next jump on, times the probability that a jump occurs in the
-    next period. The error e after a jump is still unsent after j checks without a jump if e, Fe, …, F^j e ∈ E; no jump
-    occurs in these checks with probability e^{−λτj}. So v = Σ_j ∫ p (a + v)(F^j e), with the density p of e, and a = 1
-    to count checks or a = e'Γe for costs. The density of the jumps makes v smooth: few polynomials represent it.
-    """
+    """Renewal equations of an error with jumps: each row starts at one node, the last row at the error 0."""
 
     basis: Array  # values of the basis polynomials at the nodes, (nodes, nodes)
     steps: Array  # for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes)
@@ -116,8 +124,8 @@ class Sums(Displayed):
 BREAKING = 1  # checks without a jump whose sets split also the integral over the angle
 CROWDED, CROWDING = 0.7, 4.0  # slopes to the longer axis that split the integral over the angle: largest, and ratio
 DISTINCT = 1e-10  # least angle between two splits, radians
-MOST_NODES_OF_PLANE = 1600
-POWER_OF_DISTANCE = 16  # power of the distance (relative to the truncation), whose mean shows how far errors come
+MOST_PLANE_NODES = 1600
+DISTANCE_POWER = 16  # power of the distance (relative to the truncation), whose mean shows how far errors come
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,7 +162,7 @@ class Plane:
 
     def sums(self, grid: PlaneGrid) -> Sums:
         """Return the renewal equations of this error on a grid of quadrature nodes."""
-        if grid.along * grid.across > 2 * MOST_NODES_OF_PLANE:
+        if grid.along * grid.across > 2 * MOST_PLANE_NODES:
             raise NoQuadratureError(
                 f"between sends, the error spreads over a region that needs {grid.along} × {grid.across} quadrature "
                 "nodes, more than are supported; the threshold is large compared with the noise in one period: check "
@@ -316,9 +324,7 @@ class _Operator:
     def _sides(self, errors: Array, mass: Array) -> Array:
         """Return the integrals of 1, of the cost, and of a high power of the distance."""
         cost = mass @ np.einsum("qi,qi->q", errors @ self.plane.Gamma, errors)
-        return np.array(
-            [mass.sum(), cost, mass @ (errors @ self.plane.axes[:, 0] / self.grid.cut) ** POWER_OF_DISTANCE]
-        )
+        return np.array([mass.sum(), cost, mass @ (errors @ self.plane.axes[:, 0] / self.grid.cut) ** DISTANCE_POWER])
 
     def _piece(
         self, start: Array, check: int, ends: tuple[Array, Array], directions: Array, rays: Rays, outer: int, count: int
@@ -357,7 +363,7 @@ def _narrowed(low: Array, high: Array, start: Array, directions: Array, matrix: 
     return np.where(hit, np.maximum(low, ends[0]), 1.0), np.where(hit, np.minimum(high, ends[1]), 0.0)
 
 
-MOST_NODES_OF_LINE = 1000
+MOST_LINE_NODES = 1000
 FADED = 9.0  # frequency times the smallest standard deviation at which the characteristic function is negligible
 
 
@@ -384,7 +390,7 @@ class Line(Displayed):
         sizes = self.jump * np.exp(self.a * left)
         narrow, distance = float(sizes.min()), jump_reach(float(sizes.max()), self.rate * self.period)
         count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
-        if max(count, fineness * distance / narrow) > MOST_NODES_OF_LINE:
+        if max(count, fineness * distance / narrow) > MOST_LINE_NODES:
             raise NoQuadratureError(
                 f"between sends, the error spreads over {self.bound / narrow:.3g} standard deviations of the smallest "
                 "jump, more than this quadrature supports; check less often, or simulate"
@@ -439,13 +445,7 @@ FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200)
 
 
 def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None = None) -> Renewal:
-    """Return the send rate and the excess cost of an error with normally distributed jumps at Poisson times.
-
-    Between two jumps the error moves deterministically: after a fraction e^{−λτ} of the checks, e⁺ = F e exactly. So an
-    expectation over later checks is discontinuous wherever F^j e leaves the set of unsent errors. After a jump it is
-    smooth. The equations are therefore written for expectations after a jump, represented by polynomials, and every
-    integral is split at these discontinuities.
-    """
+    """Return the send rate and the excess cost of an error with normally distributed jumps at Poisson times."""
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):

@@ -1,6 +1,7 @@
-"""Exports a policy as a functional mock-up unit, for co-simulation in other simulators by FMI 3.0 or 2.0.
+"""A policy as a functional mock-up unit, for co-simulation in other simulators by FMI 3.0 or 2.0.
 
-The model description of a functional mock-up unit: its variables and the XML files that list them.
+A unit is an archive: XML files that list its variables and sources, the C code of all nodes with the core, and a binary
+for the present machine if a compiler is installed.
 """
 
 from __future__ import annotations

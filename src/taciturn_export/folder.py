@@ -1,6 +1,7 @@
-"""Writes the nodes of a policy as a folder of C99: sources, a self-check with its data, a build file, instructions.
+"""The nodes of a policy as a folder of C99: sources, a self-check with its data, a build file, instructions.
 
-Recorded measurements, losses, decisions and inputs of a loop, for bit-exact comparison with exported nodes.
+The self-check compares exported nodes, bit for bit, with recorded measurements, losses, decisions and inputs of a loop
+(``RecordedRun``).
 """
 
 from __future__ import annotations

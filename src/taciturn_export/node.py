@@ -1,6 +1,7 @@
 """A node of a policy as a C99 header and source file: its data, and its step as straight-line code.
 
-The constant data of a node in C, and their CRC-32, which the core checks when the node starts.
+The step is the program of the node, printed by ``taciturn.program.c``. The data are constants (``NodeData``), whose
+CRC-32 the core checks when the node starts.
 """
 
 from __future__ import annotations

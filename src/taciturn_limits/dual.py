@@ -1,8 +1,30 @@
 """Lower confidence bounds, by duality, on the cost of every send schedule of an error that a send resets.
 
-Martingale for a duality lower bound on the cost of every schedule, from the value function of a fitted schedule.
+The error is e⁺ = F e(1−σ) + w, where σ is 1 at a send. Silence costs c(e) = e'Γe, and a send costs λ. Let t be the
+check of the first send in a cycle, and M_t any martingale. Then
 
-Its increments are φ = min(0, U) of the fitted schedule minus the conditional mean of φ.
+    D(g) = E min_{t≥1} [Σ_{j<t} (c(e_j) − g) − M_t]  ≤  inf_t E Σ_{j<t} (c(e_j) − g),
+
+and any g with h(g) = λ − g + D(g) ≥ 0 is a lower bound on the mean cost per check. The martingale
+
+    M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}],   φ = min(0, U),
+
+with a fitted U (``fitted``) is nearly optimal. Its conditional means are averages over randomly shifted lattice points;
+M remains a martingale with them (``Martingale``).
+
+A path ends when its minimum is certain, because no schedule can save more than β from there on. To bound the largest
+further saving S, let a be the present error, n_j the errors from 0, and r_t = min_a Σ_{j<t} c(F^j a + n_j) the residual
+of a least-squares fit of a. Then S ≤ E max(max_{t≤T} (g t − r_t), g T − r_T + S), so any β at which the right-hand side
+with S = β is below β is an upper bound. A path that is not certain after the last check is charged β.
+
+h is concave, and its slope is minus a mean number of checks. Therefore its root g° satisfies, for either sign of h(g),
+
+    g° ≥ g + ρ h(g),   ρ = 1/|h'(g°)|.
+
+A pilot run, which may end before its minima are certain, locates the root approximately. Independent draws then give h
+near the root, and the slope of h on either side bounds ρ. For a sum Σ c_i g°_i over independent loops, the ρ_i are
+unknown constants, not random numbers. So the estimate of Σ c_i ρ_i h_i is unbiased and has the standard error of a sum
+of independent terms for any values of them, and the bound uses the least value within their bounds (``bound_sum``).
 """
 
 from __future__ import annotations
@@ -110,14 +132,7 @@ ROUNDS = 60
 
 @dataclass(frozen=True, repr=False)
 class SampledDual(Displayed):
-    """Monte Carlo estimate of a lower bound on the mean cost per check, computed as the root of a sampled function.
-
-    λ is the price of a send, and D(g) a dual bound (:func:`sample_dual`).
-
-    h is concave, and its slope is minus a mean number of checks. Therefore, for either sign of h(g),
-
-        g° ≥ g + ρ h(g),   ρ = 1/|h'(g°)|.
-    """
+    """Monte Carlo estimate of a lower bound g° on the mean cost per check, the root of a sampled function h."""
 
     gain: float  # g, close to the root
     above: float  # unbiased estimate of h(g)
@@ -130,12 +145,7 @@ class SampledDual(Displayed):
 
 
 def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> float:
-    """Return a lower confidence bound on a weighted sum Σ c_i g°_i of lower bounds that are estimated independently.
-
-    The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
-    and has the standard error of a sum of independent terms. The bound uses the least value over all ρ_i within their
-    bounds. The confidence does not decrease with the number of terms.
-    """
+    """Return a lower confidence bound on a sum Σ c_i g°_i of independent estimates, at this confidence for the sum."""
     if not terms:
         return 0.0
     middle = sum(c * (one.gain + min(one.least * one.above, one.most * one.above)) for c, one in terms)
@@ -145,9 +155,7 @@ def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> 
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """A lower bound on the mean cost per check of every send schedule, where the cost includes the price of the
-    sends.
-    """
+    """A lower bound on the mean cost per check, with the price of the sends, of every send schedule."""
 
     gain: float  # the bound, at the requested confidence
     expected: float  # the estimate of which ``gain`` is the lower confidence limit
@@ -180,26 +188,7 @@ def sample_dual(
     precise: float | None = None,
     progress: Progress | None = None,
 ) -> SampledDual:
-    """Return a Monte Carlo estimate of a lower bound on the mean cost per check of every send schedule.
-
-    The arguments are those of :func:`bound_schedules`.
-
-    Let t be the check of the first send in a cycle, c_j = e_j'Γe_j, and M_t any martingale. Then
-
-        D(g) = E min_{t≥1} [Σ_{j<t} (c_j − g) − M_t]  ≤  inf_t E Σ_{j<t} (c_j − g),
-
-    and any g with λ − g + D(g) ≥ 0 is a lower bound. The martingale M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
-    φ = min(0, U) of a fitted U is nearly optimal. Its conditional means are averages over randomly shifted lattice
-    points; M remains a martingale with them.
-
-    A path ends when its minimum is certain, because no schedule can save more than β from there on. To bound the
-    largest further saving S, let a be the present error, n_j the errors from 0, and r_t = min_a Σ_{j<t} c(F^j a + n_j)
-    the residual of a least-squares fit of a. Then S ≤ E max(max_{t≤T} (g t − r_t), g T − r_T + S), so any β at which
-    the right-hand side with S = β is below β is an upper bound. A path not certain after the last check is charged β.
-
-    A pilot run, which may end before its minima are certain, locates the root approximately. Independent draws then
-    give h near the root, and the slope of h on either side.
-    """
+    """Return a Monte Carlo estimate of a lower bound on the mean cost per check of every send schedule."""
     game = Martingale(F, noise, Gamma, fitted)
     draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)

@@ -1,10 +1,23 @@
 """Near-optimal send schedules of an error that a send resets, from a fitted value function.
 
-The value function is the exponential of a quadratic form.
+The error is e⁺ = F e(1−σ) + w, where σ is 1 at a send and 0 otherwise. Silence costs e'Γe, and a send costs λ. The
+schedule with the least mean cost g per check sends if and only if
 
-Randomly shifted quasi-Monte Carlo points with a normal distribution, for unbiased averages over noise.
+    U(e) = e'Γe − g + V(e) > 0,   V(e) = E min(0, U(F e + w)),   λ − g + V(0) = 0.
 
-Bounds on send rate and cost of the optimal schedule for decaying errors that hardly ever need a send.
+V is approximated by −exp(a − ½e'Πe), in any number of dimensions. In each value iteration, a and Π minimise the squared
+errors of log(−V), weighted with |V|, at errors that a threshold policy does not send. The mean over w is one over Sobol
+points, shifted by a random vector (``Lattice``), so that it has no bias [cranley1976].
+
+Few sends. Let S = Γ + F'SF. A send at the error e saves at most e'Se, so that the optimal schedule never sends if
+e'Se < λ. Let f = tr(ΓP) be the cost without sends, and ē ~ N(0, P) the error without sends. Every even schedule
+satisfies
+
+    g = f − E σ(e'Se − λ) ≥ f − E max(ē'Sē − λ, 0),
+
+because ē − e is symmetric given e, and the tail of ē'Sē bounds the rate (``bound_rare_sends``). With q = ē'Sē =
+Σ w_i z_i² for standard normal z_i, both are Chernoff bounds: for every 0 < s < 1/(2 max w), 1{q > x} ≤ exp(s(q − x))
+and max(q − x, 0) ≤ exp(s(q − x) − 1)/s, with E exp(sq) = Π (1 − 2 s w_i)^{−1/2}.
 """
 
 from __future__ import annotations
@@ -85,18 +98,7 @@ def decayed(F: Array, W: Array) -> Array | None:
 
 
 def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rarity:
-    """Return bounds on send rate and cost of the optimal schedule for e⁺ = F e (1−σ) + w, where σ is 1 at a send.
-
-    Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
-
-    Let S = Γ + F'SF. A send at the error e saves at most e'Se, so that the optimal schedule never sends if e'Se < λ.
-    Let f = tr(ΓP) be the cost without sends, and ē ~ N(0, P) the error without sends. Every even schedule satisfies
-
-        g = f − E σ(e'Se − λ) ≥ f − E max(ē'Sē − λ, 0),
-
-    because ē − e is symmetric given e. The tail of ē'Sē bounds the rate too. Both bounds use exponential moments
-    (``bound_tail``). For an error that does not decay, the bounds are 1 and 0.
-    """
+    """Return bounds on send rate and cost of the optimal schedule; 1 and 0 for an error that does not decay."""
     covariance, value = decayed(F, noise), decayed(F.T, Gamma)
     if covariance is None or value is None:
         return Rarity(1.0, 0.0)
@@ -123,11 +125,7 @@ def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> f
 
 
 def bound_tail(weights: Array, limit: float) -> tuple[float, float]:
-    """Return Chernoff bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i² with standard normal z_i.
-
-    For every 0 < s < 1/(2 max w): 1{q > x} ≤ exp(s(q − x)) and max(q − x, 0) ≤ exp(s(q − x) − 1)/s, with
-    E exp(sq) = Π (1 − 2 s w_i)^{-1/2}. The bounds are minimised over several values of s.
-    """
+    """Return Chernoff bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i², minimised over several values of s."""
     s = SHARES / (2 * weights.max())
     logs = -0.5 * np.log1p(-2 * s[:, None] * weights).sum(axis=1) - s * limit
     return float(np.exp(logs.min())), float(np.exp((logs - 1 - np.log(s)).min()))
@@ -173,22 +171,12 @@ class Fitted(Displayed):
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return a near-optimal send schedule for the error e⁺ = F e(1−σ) + w, where σ is 1 at a send and 0 otherwise.
-
-    Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
-
-    The optimal schedule sends if and only if U(e) = e'Γe − g + V(e) > 0. Here V(e) = E min(0, U(F e + w)), and g solves
-    λ − g + V(0) = 0. This function approximates V by −exp(a − ½e'Πe). In each value iteration, a and Π minimise the
-    squared errors of log(−V), weighted with |V|, at errors that a threshold policy does not send.
-    """
+    """Return a near-optimal send schedule at the price λ of a send."""
     return Fitting(F, noise, Gamma, seed, points).at(price)
 
 
 class Fitting:
-    """Fits of near-optimal send schedules to simulated errors, for many prices per send.
-
-    All prices within half an octave use the same errors.
-    """
+    """Fits of near-optimal send schedules to simulated errors, for many prices per send."""
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, seed: int = 0, points: int = POINTS) -> None:
         """Start without a fit."""

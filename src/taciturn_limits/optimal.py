@@ -1,6 +1,21 @@
 """Optimal send schedule for a given price per send, by policy iteration on the renewal equations.
 
-Set of errors for which the optimal scheduler does not send; at its boundary, a send and silence cost the same.
+The error before a check is e⁺ = F e + w. A send resets it to 0 at the price λ; an unsent error costs e⁺'Γe⁺. The rule
+with the least mean cost g per check is
+
+    send iff U(e) > 0,   U(e) = e'Γe − g + E min(0, U(F e + w)),   g such that λ − g + E min(0, U(w)) = 0.
+
+U is the cost of silence minus that of a send. Policy iteration: the renewal equations of a region of unsent errors give
+T(e) and C(e), the expected checks and cost until the next send, and with them g = (C₀ + λ)/T₀ and U. The errors with
+U < 0 form the next region (``improve``), whose cost is lower. Four or five iterations converge.
+
+The expectation in U is a sum of Gaussians over the nodes x_k of the quadrature, Σ_k v_k φ(x_k − F x). So U and its
+derivatives have a closed form at any x (``ContinuationRegion``), and the ends of the region along an axis are found by
+Newton's method: where the least U over the later axes changes its sign.
+
+The quadrature is that of a threshold (``taciturn.renewal.quadrature``): nodes on nested chords, with a resolution and a
+window that are increased together until rate and excess no longer change. A region that is not convex may have gaps on
+these chords. The visits to the nodes in the gaps give the cost of ignoring them (``holes``).
 """
 
 from __future__ import annotations
@@ -51,20 +66,14 @@ BATCH = 256  # neighbouring points that are evaluated together
 NEAR = 9.0  # noise standard deviations beyond which the density of the noise is negligible
 SHARP = 1e-13  # relative accuracy of an end of the region
 FLAT = 1e-10  # accuracy of the position of a minimum, in noise standard deviations; its value has the squared error
-ROUNDS_OF_CONTINUATION = 60
+NEWTON_ROUNDS = 60
 STRIDE = 1.0  # length of the first step to a minimum, in noise standard deviations
 LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuationRegion(Displayed):
-    """Set of errors for which the optimal scheduler does not send, because silence costs less than a send.
-
-    The set is U(x) < 0, where U is the cost of silence minus that of a send. For the weights m_i of the trigger and the
-    mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
-
-    The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
-    """
+    """Set U(x) < 0 of errors that are not sent, with U(x) = Σ_i m_i x_i² − g + Σ_k v_k φ(x_k − F x)."""
 
     white: White  # the chain, with costs in units of the price of a send
     x: Array  # nodes, one of each pair ±x, (nodes, n)
@@ -153,9 +162,8 @@ class ContinuationRegion(Displayed):
         rows = np.flatnonzero(~beyond)
         points, value, slope, below, above = points[rows], value[rows], slope[rows], below[rows], above[rows]
         size = np.maximum(np.abs(below), np.abs(above))
-        for _ in range(
-            ROUNDS_OF_CONTINUATION
-        ):  # Newton's method within the bracket [below, above], bisection where it leaves it
+        # Newton's method within the bracket [below, above], bisection where it leaves it
+        for _ in range(NEWTON_ROUNDS):
             check_time()
             if not rows.size:
                 break
@@ -187,7 +195,7 @@ class ContinuationRegion(Displayed):
         value, gradient, curvature = self.curves(points)
         # Newton steps of limited length: the limit doubles after a descent, and shrinks when U would increase
         rows, stride = np.arange(len(points)), np.full(len(points), STRIDE)
-        for _ in range(ROUNDS_OF_CONTINUATION):
+        for _ in range(NEWTON_ROUNDS):
             check_time()
             step = _downhill(gradient[rows, axis:], curvature[rows, axis:, axis:])
             length = np.linalg.norm(step, axis=1)
@@ -223,12 +231,7 @@ class ContinuationRegion(Displayed):
 
 
 def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRegion:
-    """Return the next set of unsent errors, by one policy-iteration step from a solution of the renewal equations.
-
-    Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
-
-    The errors with U < 0 form a region with a lower cost: this is one step of policy iteration.
-    """
+    """Return the next set of unsent errors, with the U of later decisions that follow the region of the solution."""
     system, dear = solved.system, beyond_a_send(solved)
     deepest = float(np.maximum(-dear, 0.0).max())
     return ContinuationRegion(
@@ -278,9 +281,7 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """Optimal send schedule for a given price per send, with its rate, its cost, and error estimates of the
-    quadrature.
-    """
+    """Optimal send schedule for a given price per send, with its rate, its cost, and the errors of the quadrature."""
 
     cost: float  # g = excess + price · rate, the least mean cost per check
     cost_error: float  # claimed absolute error of the cost
@@ -312,17 +313,7 @@ def solve_optimal(
     accuracy: float | None = None,
     progress: Progress | None = None,
 ) -> Optimum:
-    """Return the send schedule that minimises the mean cost per check: e'Γe in silence, or the price of a send.
-
-    The error before a check is e⁺ = F e + w. A send resets it to 0; an unsent error costs e⁺'Γe⁺. The optimal rule is
-
-        send iff U(e) > 0,  U(e) = e'Γe − g + E min(0, U(F e + w)),  g such that λ − g + E min(0, U(w)) = 0.
-
-    The rule is found by policy iteration. The renewal equations of a region give T(e) and C(e), the expected checks and
-    cost until the next send. From these follow g = (C₀ + λ)/T₀ and U, and the errors with U < 0 form the next region.
-    Four or five iterations converge. The quadrature is the same as for a threshold: nodes on nested chords, with a
-    resolution and a window that are increased together until rate and excess no longer change.
-    """
+    """Return the send schedule that minimises the mean cost per check: e'Γe in silence, or the price of a send."""
     F = square("F", F)
     n = len(F)
     noise, Gamma = semidefinite("noise", noise, n), semidefinite("Gamma", Gamma, n)

@@ -1,11 +1,8 @@
 """Sweeps: evaluations of a problem over a grid of its values, as labelled arrays.
 
-The result of a sweep as a table for pandas, CSV files and LaTeX.
-
-Grids of problems, computed on many processors, stored, and continued after a stop.
-
-``sweep`` builds the grid and returns labelled arrays (``table``: as text). ``cells`` computes its blocks on
-``workers``, whose code must be the same (``identity``), and keeps each result in a ``store``.
+The cells of the grid are computed in blocks on many processors, and each result is kept in a store when it is finished,
+so that a sweep continues after a stop (``taciturn.study.points``). ``SweepTable`` is the result as rows, for pandas,
+CSV files and LaTeX.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from taciturn_twins.catalogue import find_robot
 from taciturn_twins.robot import Robot
 from taciturn_twins.vision import Eye
 from taciturn_twins.wire import PictureWire
-from taciturn_udp.service import logged
+from taciturn_udp.logs import logged
 
 LARGEST = 2**20  # bytes of a calibration
 
@@ -63,7 +63,7 @@ def wire_of_pictures(
         network: network, which defines the rounding of packets.
         key: key that authenticates the packets.
         calibration: calibration file of the camera.
-        seen: target of a JSON line per picture, as in ``taciturn_udp.service.logged``.
+        seen: target of a JSON line per picture, as in ``taciturn_udp.logs.logged``.
         watch: file for the newest picture of the first loop, with the detected marker.
 
     Raises:

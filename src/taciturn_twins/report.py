@@ -12,7 +12,7 @@ from taciturn.model.estimate import Estimate
 from taciturn_twins.identification import Identification
 from taciturn_twins.outcome import Trial, mean
 from taciturn_twins.robot import Robot
-from taciturn_udp.run import measured
+from taciturn_udp.averages import measured
 
 
 def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:

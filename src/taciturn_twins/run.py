@@ -23,7 +23,7 @@ from taciturn_twins.prepared import Prepared, prepare
 from taciturn_twins.report import listed, model_lines, summary_of, vision
 from taciturn_twins.robot import Robot
 from taciturn_twins.trial import Setup, run_trial
-from taciturn_udp.run import measured
+from taciturn_udp.averages import measured
 
 if TYPE_CHECKING:
     import xarray

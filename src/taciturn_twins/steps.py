@@ -15,8 +15,8 @@ from typing import Any
 from taciturn.model.network import Network
 from taciturn_twins.outcome import ESTIMATE, trigger_values
 from taciturn_twins.trial import Setup
-from taciturn_udp.namespaces import predict_drops
-from taciturn_udp.run import kernel_losses, losses
+from taciturn_udp.namespaces import kernel_losses, predict_drops
+from taciturn_udp.relay import losses
 
 LOGS = ("sensor", "controller", "actuator", "seen")
 BEHIND = 2  # number of steps after which all processes have logged a step

@@ -26,9 +26,10 @@ from taciturn_twins.robot import Robot
 from taciturn_twins.wire import CameraWire
 from taciturn_twins.world import TwinPlant, World
 from taciturn_udp.endpoint import Endpoint, parse_address
-from taciturn_udp.namespaces import Namespaces
+from taciturn_udp.logs import logged_lines
+from taciturn_udp.namespaces import Namespaces, kernel_losses
 from taciturn_udp.processes import Processes
-from taciturn_udp.run import kernel_losses, logged_lines, losses
+from taciturn_udp.relay import losses
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,7 +1,4 @@
-"""Commands that run a policy as nodes over a network.
-
-Options of links and of processes: packet dropouts, bursts and outages; numbers of steps; the length of a step.
-"""
+"""Commands that run a policy as nodes over a network, and the texts of their options."""
 
 from __future__ import annotations
 
@@ -55,7 +52,7 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
     """Return the impairments of each link: the losses of --loss, or else those of the problem's network."""
     from taciturn.errors import ProblemError
     from taciturn.model.steps import Send
-    from taciturn_udp.run import losses
+    from taciturn_udp.relay import losses
 
     stated = losses(network, seed)
     fates: dict[str, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
@@ -272,8 +269,9 @@ def node(
     from taciturn.nodes.keys import read_keys
     from taciturn.nodes.node import Node
     from taciturn_udp.endpoint import LARGEST, LARGEST_OF_ALL, Endpoint, hosts_of, parse_address, parse_peers
+    from taciturn_udp.logs import logged
     from taciturn_udp.nodes import NodeServer
-    from taciturn_udp.service import FileStorage, logged, say, say_where, usual_wait
+    from taciturn_udp.service import FileStorage, say, say_where, usual_wait
 
     check_counts(
         {"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--log-part": log_part, "--loops": loops}
@@ -345,10 +343,11 @@ def plant(
     from taciturn.nodes.keys import read_keys
     from taciturn.nodes.packet import Wire
     from taciturn.nodes.simulated_plant import SimulatedPlant
+    from taciturn_udp.averages import plant_cost
     from taciturn_udp.endpoint import Endpoint, hosts_of, parse_address, parse_peers
+    from taciturn_udp.logs import logged
     from taciturn_udp.plant import PlantServer
-    from taciturn_udp.run import plant_cost
-    from taciturn_udp.service import logged, say, say_where
+    from taciturn_udp.service import say, say_where
 
     check_counts({"--ticks": ticks, "--loops": loops})
     problem = load_changed(file, settings, no_functions)
@@ -391,8 +390,8 @@ def relay(
     """Emulate a link that drops, delays, duplicates, reorders or corrupts packets, reproducibly for a given seed."""
     from taciturn.extend import until_stopped
     from taciturn_udp.endpoint import LARGEST_OF_ALL, Endpoint, parse_address
-    from taciturn_udp.plant import relay as carry
     from taciturn_udp.relay import EmulatedLink, Fate
+    from taciturn_udp.relay import relay as carry
     from taciturn_udp.service import say_where
 
     chances = {"loss": loss, "duplicate": duplicate, "reorder": reorder, "corrupt": corrupt}

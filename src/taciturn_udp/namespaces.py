@@ -30,9 +30,11 @@ from numpy.typing import NDArray
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, count
+from taciturn.model.network import Network
 from taciturn.model.packets import receiver_of, roles, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER, KINDS
+from taciturn_udp.relay import losses
 
 NETWORK, PORT = "10.77.0", 9000  # network and port of every node, invisible to other machines
 NEEDED = (
@@ -65,6 +67,28 @@ class KernelLoss(Displayed):
         for name, most in (("seed", 0xFFFFFFFF), ("permille", 1000)):
             if count(name, getattr(self, name), 0) > most:
                 raise ProblemError(f"{name} is {getattr(self, name)}; expected at most {most}")
+
+
+def kernel_losses(network: Network, seed: int) -> dict[str, KernelLoss]:
+    """Return the losses that the kernel applies on each link of a network.
+
+    Raises:
+        ProblemError: losses come in bursts, or are not an integer number of permille.
+    """
+    found: dict[str, KernelLoss] = {}
+    for link, fate in losses(network, seed).items():
+        if fate.burst is not None:
+            raise ProblemError(
+                f"{network.key(link, 'burst')} is given, but the kernel cannot drop packets in bursts; expected "
+                f"{network.key(link, 'loss')}"
+            )
+        permille = round(1000 * fate.loss)
+        if abs(permille - 1000 * fate.loss) > 1e-9:
+            raise ProblemError(
+                f"{network.key(link, 'loss')} is {fate.loss:g}; expected a multiple of 0.001, the kernel's resolution"
+            )
+        found[link] = KernelLoss(fate.seed & 0xFFFFFFFF, permille)  # of 32 bits
+    return found
 
 
 class Counted(NamedTuple):

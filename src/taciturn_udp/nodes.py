@@ -24,7 +24,9 @@ from taciturn.nodes.inbox import AHEAD, USABLE, Window
 from taciturn.nodes.node import Node, Values, check_seal, sealed
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, check_plant, peers_by_link
-from taciturn_udp.service import IDLE, Outbox, Port, Reception, Say, Storage, Told, Turns, drive, log_line, take_until
+from taciturn_udp.logs import log_line
+from taciturn_udp.proofs import Outbox, Reception
+from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step

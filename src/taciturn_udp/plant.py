@@ -1,4 +1,4 @@
-"""Servers for the environment of nodes on UDP: the simulated plant, and relays that emulate links."""
+"""A server for simulated plants, which sends their measurements to nodes on UDP and applies the inputs that arrive."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from taciturn.nodes.inbox import AHEAD, Window
 from taciturn.nodes.node import Values
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, peers_by_link
-from taciturn_udp.relay import EmulatedLink
-from taciturn_udp.service import IDLE, QUIET, Port, Reception, Say, Told, Turns, drive
+from taciturn_udp.proofs import Reception
+from taciturn_udp.service import IDLE, Port, Say, Told, Turns, drive
 
 WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's first and each further message
 
@@ -264,37 +264,3 @@ class PlantServer:
             self.taken += 1
         else:
             self.refused["late"] += 1
-
-
-def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Forward datagrams to a peer over an emulated link until stopped, and return the report.
-
-    Datagrams from the peer, such as challenges, go back without impairments to the last other sender.
-    """
-    client: Address | None = None
-
-    def carry(until: float) -> bool:
-        nonlocal client
-        found = endpoint.receive(until if link.due is None else min(until, link.due))
-        now, out = time.monotonic(), list[bytes]()
-        for datagram, sender in zip(found, endpoint.senders, strict=True):
-            if sender != peer:
-                client = sender
-                out += link.take(datagram, now)
-            elif client is not None:
-                endpoint.send(datagram, client)
-                link.counters["sent back"] += 1
-        for datagram in out + link.release(now):
-            endpoint.send(datagram, peer)
-        return bool(found)
-
-    while not stopped():
-        carry(time.monotonic() + IDLE)
-    while carry(time.monotonic() + QUIET):
-        pass
-    return {
-        "role": "relay",
-        "counters": dict(link.counters),
-        "pending": link.pending,
-        "datagrams": endpoint.counted,
-    }

@@ -1,23 +1,32 @@
 """A link that drops, delays, duplicates, reorders and corrupts packets, reproducibly for a given seed.
 
 The impairments of a packet depend only on the seed and its place (sequence number, step and loop), not on its arrival
-time. Therefore a run can be repeated, and its packet drops can be predicted (``Fate.lost``).
+time. Therefore a run can be repeated, and its packet drops can be predicted (``Fate.lost``). ``losses`` are those of a
+network, ``EmulatedLink`` applies them to datagrams without sockets, and ``relay`` does so between two sockets.
 """
 
 from __future__ import annotations
 
+import time
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, count, instance, number
+from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.losses import LossLaw
+from taciturn.model.network import Network
 from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
+from taciturn_udp.endpoint import Address
+from taciturn_udp.service import IDLE, QUIET, Port
 
 _WORD = (1 << 64) - 1
 _LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT = range(1, 9)
+EMULATED = Coverage(NETWORKS | INTERVALS, "running links do not emulate")
 MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
 
 
@@ -100,6 +109,21 @@ class Fate(Displayed):
             state = int(burst.pick(np.array([self.uniform(_FIRST, 0)]))[0])
         object.__setattr__(self, "_last", (tick, reached[state]))
         return reached[state]
+
+
+def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | None] | None = None) -> dict[str, Fate]:
+    """Return the impairments of the packets on each link of a network; during an outage, a link drops every packet."""
+    EMULATED.check(network)
+    links = tuple(reversed(tuple(network.links)))
+    return {
+        link: Fate(
+            seed=len(links) * seed + i,
+            loss=0.0 if network.burst(link) else network.loss(link),
+            burst=network.burst(link),
+            outage=(outages or {}).get(link),
+        )
+        for i, link in enumerate(links)
+    }
 
 
 class EmulatedLink:
@@ -191,6 +215,40 @@ class EmulatedLink:
     def _out(self, datagrams: list[bytes]) -> list[bytes]:
         self.counters["delivered"] += len(datagrams)
         return datagrams
+
+
+def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
+    """Forward datagrams to a peer over an emulated link until stopped, and return the report.
+
+    Datagrams from the peer, such as challenges, go back without impairments to the last other sender.
+    """
+    client: Address | None = None
+
+    def carry(until: float) -> bool:
+        nonlocal client
+        found = endpoint.receive(until if link.due is None else min(until, link.due))
+        now, out = time.monotonic(), list[bytes]()
+        for datagram, sender in zip(found, endpoint.senders, strict=True):
+            if sender != peer:
+                client = sender
+                out += link.take(datagram, now)
+            elif client is not None:
+                endpoint.send(datagram, client)
+                link.counters["sent back"] += 1
+        for datagram in out + link.release(now):
+            endpoint.send(datagram, peer)
+        return bool(found)
+
+    while not stopped():
+        carry(time.monotonic() + IDLE)
+    while carry(time.monotonic() + QUIET):
+        pass
+    return {
+        "role": "relay",
+        "counters": dict(link.counters),
+        "pending": link.pending,
+        "datagrams": endpoint.counted,
+    }
 
 
 def uniform(seed: int, purpose: int, index: int) -> float:

@@ -1,9 +1,8 @@
-"""Faults of links, processes and clocks as plain data, and their random choice for a seed.
+"""Faults of links, processes, clocks and keys as plain data, and their random choice for a seed.
 
 Times are steps of the plant. A fault of a link changes datagrams that are sent while it lasts. Its random draws depend
 on its own seed and the number of the datagram alone, so a fault acts alike if other faults are left out of a list.
-
-Faults of nodes with keys as plain data: recordings, forged packets and changes of keys; their choice for a seed.
+Nodes with keys also meet attacks: recordings, forged packets, and changes of keys.
 """
 
 from __future__ import annotations

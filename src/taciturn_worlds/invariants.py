@@ -18,7 +18,7 @@ from taciturn.nodes.node import Node, Values
 from taciturn.nodes.packet import REFUSALS, Packet
 from taciturn_udp.nodes import LEFT_BEHIND, NodeServer
 from taciturn_udp.plant import PlantServer
-from taciturn_udp.service import VALID, Reception
+from taciturn_udp.proofs import VALID, Reception
 from taciturn_worlds.virtual import VirtualNetwork, VirtualPort
 
 Order: TypeAlias = tuple[int, int]  # epoch and step of a packet

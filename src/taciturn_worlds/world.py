@@ -1,11 +1,8 @@
-"""One world of faults: the servers of nodes and plant on virtual clocks and sockets, and the events of its faults.
-
-The keys of a world of faults: secrets of each link, and the keys that every process has in its file.
-
-Worlds of faults: the nodes of a problem and its plant in one process, with faults that a seed chooses.
+"""Worlds of faults: the nodes of a problem and its plant in one process, with faults that a seed chooses.
 
 The servers of the nodes and of the plant are those that run over UDP, in real time; their clocks and sockets are
-virtual. A world breaks if an invariant does not hold (``taciturn_worlds.invariants``).
+virtual. A ``KeyRing`` has the secrets of each link, and the keys that every process has in its file. A world breaks if
+an invariant does not hold (``taciturn_worlds.invariants``).
 """
 
 from __future__ import annotations

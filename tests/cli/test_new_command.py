@@ -21,7 +21,7 @@ from terminals import in_a_terminal
 import taciturn
 from taciturn import ProblemError
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.problem.draft import Draft, offered_kinds
+from taciturn_new.draft import Draft, offered_kinds
 
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
 STEP = ("discrete", "0.5", "1.1", "1", "yes", "0.1", "2", "1")  # a scalar, as far as its cost

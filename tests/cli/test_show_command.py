@@ -18,8 +18,8 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.estimate import rounded
 from taciturn.model.steps import Send
-from taciturn.problem.draft import example_of
 from taciturn.study.describe import describe
+from taciturn_new.draft import example_of
 
 if TYPE_CHECKING:
     from conftest import Run, Write

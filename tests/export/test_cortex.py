@@ -31,7 +31,7 @@ from taciturn_boards.cortex import M3, M4F, Counts, EmulatedBoard, Main
 from taciturn_boards.processor import NodeOnBoard
 from taciturn_export import sizes
 from taciturn_export.folder import CFolder, print_folder, record_loop
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 
 ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, Mapping[str, object]]] = {  # problem, and what is changed in it

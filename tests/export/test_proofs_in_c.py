@@ -15,7 +15,7 @@ from taciturn.model.packets import wire_links
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.packet import Packet, Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
-from taciturn_udp.service import answer_to
+from taciturn_udp.proofs import answer_to
 
 OTHER = bytes(range(40, 60))
 

@@ -20,7 +20,7 @@ from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
 from taciturn.problem import parse
 from taciturn_export.export import export_c
-from taciturn_udp.service import answer_to
+from taciturn_udp.proofs import answer_to
 
 OTHER = bytes(range(40, 60))
 SECRET = b"sixteen bytes..."  # of feed.c

@@ -43,8 +43,8 @@ from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import ExternalDisturbance, RandomSteps
 from taciturn.problem import parse
 from taciturn.simulation.average import average, choose_estimator
-from taciturn.simulation.violations import violations
 from taciturn.study.describe import describe
+from taciturn_rare.violations import violations
 
 A, B, C, D = np.array([[1.1, 0.2], [0.0, 0.8]]), np.array([[0.1], [1.0]]), np.array([[1.0, 0.0]]), np.array([[0.7]])
 W, V, COST = 0.1 * np.eye(2), np.array([[0.05]]), Cost(np.eye(2), [[1.0]])

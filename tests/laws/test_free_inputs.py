@@ -13,7 +13,7 @@ from taciturn import Cost, Plant, TaciturnError, design
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.lqg.periodic import Held
 from taciturn.problem import Problem
-from taciturn.problem.draft import example_of, suggest_value
+from taciturn_new.draft import example_of, suggest_value
 
 CONTINUOUS = {"consistent", "integral", "near-optimal", "optimal"}  # their gain is −R⁻¹(B'K + N')
 

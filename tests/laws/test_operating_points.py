@@ -26,8 +26,8 @@ from taciturn.model.plant import ContinuousPlant, about
 from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.nodes.node import Node
 from taciturn.nodes.simulated_plant import SimulatedPlant
-from taciturn.simulation.violations import violations
 from taciturn_export.folder import record_loop
+from taciturn_rare.violations import violations
 
 QUICK = ("all-time", "lqg", "excess", "remote-lqg", "lossy-lqg", "distributed", "mixed", "consistent", "event-pid")
 TANK = {"plant.operating_point.x": [12.4, 12.7, 1.8, 1.4], "plant.operating_point.u": [3.0, 3.0]}

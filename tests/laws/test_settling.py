@@ -14,7 +14,7 @@ from taciturn.program.ops import Sent
 from taciturn.simulation.average import average, plain_average
 from taciturn.simulation.reliability import drifts_of
 from taciturn.simulation.sampling import History, Part, Sampling, Snapshots
-from taciturn.simulation.violations import violations
+from taciturn_rare.violations import violations
 
 TANK = """
 [plant]

@@ -19,9 +19,9 @@ from taciturn.model.packets import packet_shapes, roles
 from taciturn.model.steps import Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.nodes.node import Node
-from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent
 from taciturn_limits.optimal_kind import OptimalPolicy
+from taciturn_new.draft import example_of
 
 SYSTEM = make_system(5, 2, 1, 2, full_state=False)
 NAMES = (*POLICIES, *(kind for kind in CATALOGUE if kind not in POLICIES))

@@ -16,7 +16,7 @@ from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp import nodes, plant
 from taciturn_udp.nodes import NodeServer
-from taciturn_udp.service import Reception, _Session
+from taciturn_udp.proofs import Reception, _Session
 
 
 class Defect(NamedTuple):

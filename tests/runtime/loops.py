@@ -21,7 +21,7 @@ from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
 from taciturn.program.ops import Sent, is_entry
 from taciturn_export.folder import drawn_by_the_policy
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 
 Records = Mapping[str, np.ndarray]
 

@@ -14,7 +14,9 @@ from runtime.test_network import assert_added_up, proofs, refused
 
 import taciturn
 from taciturn_udp.processes import Processes
-from taciturn_udp.run import NetworkRun, losses, run_network
+from taciturn_udp.relay import losses
+from taciturn_udp.result import NetworkRun
+from taciturn_udp.run import run_network
 
 pytestmark = pytest.mark.evidence
 TICK = 0.02  # at which a machine that does other things as well is in time

@@ -23,7 +23,7 @@ from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.endpoint import Endpoint
 from taciturn_udp.nodes import NodeServer
 from taciturn_udp.plant import PlantServer
-from taciturn_udp.service import answer_to
+from taciturn_udp.proofs import answer_to
 
 WIRE = Wire(POLICY, key=KEY)
 TICK = 0.02

@@ -23,8 +23,9 @@ from taciturn.model.network import Network
 from taciturn.model.steps import Send
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Endpoint, parse_address
-from taciturn_udp.namespaces import KernelLoss, Namespaces, predict_drops
-from taciturn_udp.run import NetworkRun, kernel_losses, run_network
+from taciturn_udp.namespaces import KernelLoss, Namespaces, kernel_losses, predict_drops
+from taciturn_udp.result import NetworkRun
+from taciturn_udp.run import run_network
 
 POLICY = taciturn.load("lossy-double-integrator").design()
 NAMES = Path("/var/run/netns")

@@ -20,8 +20,9 @@ from runtime.test_nodes import ACKNOWLEDGED
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn_udp.processes import Process, Processes
-from taciturn_udp.relay import Fate
-from taciturn_udp.run import NetworkRun, losses, run_network
+from taciturn_udp.relay import Fate, losses
+from taciturn_udp.result import NetworkRun
+from taciturn_udp.run import run_network
 
 Report = Mapping[str, Any]
 TICKS = 300

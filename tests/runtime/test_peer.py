@@ -23,7 +23,7 @@ import taciturn
 from taciturn.model.packets import links_to, peers_of, place_of, plant_link, role_at, roles
 from taciturn.nodes.description import describe_wire
 from taciturn_udp.endpoint import free_addresses
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 
 PEER = Path(__file__).parent / "peer.mjs"
 SEED, PATIENCE = 3, 120.0  # seconds until a process that hangs is an error

@@ -15,10 +15,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from taciturn_udp import run
+from taciturn_udp import logs, run
+from taciturn_udp.logs import Logs, logged, name_of_part
 from taciturn_udp.processes import Processes
-from taciturn_udp.run import Logs, run_network
-from taciturn_udp.service import logged, name_of_part
+from taciturn_udp.run import run_network
 
 
 def line(tick: int) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def test_a_log_without_parts_is_one_file(tmp_path: Path) -> None:
 
 def test_the_packets_of_all_parts_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read while the block runs, and at its end."""
-    monkeypatch.setattr(run, "PAUSE", 0.001)
+    monkeypatch.setattr(logs, "PAUSE", 0.001)
     nodes = SimpleNamespace(
         folder=tmp_path,
         roles=["controller"],

@@ -10,10 +10,7 @@ from taciturn import Cost, Estimate, Plant, close, design
 from taciturn.model.disturbance import follow
 from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.simulation.statistics import batch_means
-from taciturn_udp.run import (
-    NetworkRun,
-    _datagrams,
-    _unheard,
+from taciturn_udp.averages import (
     cost_of_ticks,
     least_steps,
     measured,
@@ -22,6 +19,8 @@ from taciturn_udp.run import (
     remark_on_rates,
     settled,
 )
+from taciturn_udp.result import NetworkRun
+from taciturn_udp.run import _datagrams, _unheard
 
 PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())

@@ -22,10 +22,10 @@ from taciturn.model.limits import Limits, Violation
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.engine import prepare
-from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
 from taciturn_events.policy import EventPolicy
 from taciturn_limits.optimal_kind import OptimalPolicy
+from taciturn_rare.violations import violations
 
 SURE = 4.0  # standard errors
 SLOW, UNIT = Plant([[0.95]], [[1.0]], [[1.0]]), Cost([[1.0]], [[10.0]])
@@ -176,7 +176,7 @@ def runs(loop: Loop, high: float, paths: int) -> tuple[float, float, float, floa
 
 def test_a_threshold_that_makes_too_many_copies_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The number of paths stays below its limit, and the probability is still unbiased."""
-    monkeypatch.setattr("taciturn.simulation.violations.MOST_PATHS", 4000)
+    monkeypatch.setattr("taciturn_rare.splitting.MOST_PATHS", 4000)
     loop, deviation = every_sample()
     found = violations(loop, Limits(ROW, high=[float(norm.isf(1e-4)) * deviation]), accuracy=0.3).total
     assert found.levels < 6

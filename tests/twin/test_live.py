@@ -17,7 +17,7 @@ from taciturn_twins.mission import all_time
 from taciturn_twins.page import Page
 from taciturn_twins.steps import Steps
 from taciturn_twins.trial import Setup, run_trial
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 
 STEPS = 12
 

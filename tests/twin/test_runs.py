@@ -17,8 +17,8 @@ from taciturn_twins.outcome import Trial
 from taciturn_twins.record import write_record
 from taciturn_twins.run import TwinRun, run_twin
 from taciturn_twins.trial import Setup
-from taciturn_udp.namespaces import predict_drops
-from taciturn_udp.run import kernel_losses, losses
+from taciturn_udp.namespaces import kernel_losses, predict_drops
+from taciturn_udp.relay import losses
 
 TICKS = {"rover": 20, "omni": 15}
 

@@ -8,8 +8,7 @@ Read the modules in this order:
 
 1. ``packet`` encodes packets as bytes with checksum and tag, with the secrets of ``keys``. ``inbox`` protects against
    replay, and handles late, repeated, missing and forged packets. Every case is counted.
-2. ``node`` contains one node, ``together`` all nodes of a policy as one pure function, ``python_control`` the
-   conversion to and from systems of python-control, and ``description`` packets and nodes as JSON for programs in other
-   languages.
+2. ``node`` contains one node, ``together`` all nodes of a policy as one pure function, and ``description`` packets and
+   nodes as JSON for programs in other languages.
 3. ``simulated_plant`` contains a simulated plant. ``clock`` estimates the phase of the steps in real time.
 """

@@ -10,8 +10,7 @@ follow each other, and an error names the file, the key, the given value and the
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
-For the opposite direction, ``draft`` builds a problem part by part from text (``matrices``) or from a file of matrices
-(``matlab_and_numpy``), proposes parameters, and writes the file with a comment for each key.
+Matrices are also read from text (``matrices``) and from files of other programs (``matlab_and_numpy``).
 """
 
 from __future__ import annotations

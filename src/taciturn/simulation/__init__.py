@@ -10,6 +10,5 @@ Read the modules in this order:
    windows, and the test that the initial transient has decayed.
 2. ``statistics``: means, batch means and renewal cycles with standard errors.
 3. ``reliability``: detection of averages that do not exist, or whose standard error cannot be trusted.
-4. ``trajectory``: one path, and the mean cost at each step. ``bank``: many loops side by side. ``violations``: rare
-   violations of limits, with copies of the paths that come near them.
+4. ``trajectory``: one path, and the mean cost at each step. ``bank``: many loops side by side.
 """

@@ -47,7 +47,6 @@ from taciturn.problem.bare import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
-from taciturn.simulation.violations import violations
 from taciturn.study.evaluation import (
     AsWritten,
     Consistency,
@@ -377,6 +376,7 @@ def with_violations(
                 f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
                 "period, such as near-optimal"
             )
+        violations = load_plugin("taciturn.violations", "limits", "a probability of violation")
         seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
         found = replace(found, violations=seen)
     return replace(found, notes=tuple(notes))

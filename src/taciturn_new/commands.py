@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from taciturn._process import remark
 from taciturn.cli.frame import EXAMPLE, Kind, app
 from taciturn.errors import ProblemError, TaciturnError
 
@@ -122,9 +121,7 @@ def new(
     of the policy. In place of Q and R, you may enter the gains of a PID controller to keep; links are then ideal. If
     answers come from a pipe, the first invalid answer is an error. Scripts should use --from.
     """
-    from taciturn._arrays import number
-    from taciturn._figure import check_format
-    from taciturn._files import write_whole
+    from taciturn.extend import check_format, number, remark, write_whole
     from taciturn.problem.matlab_and_numpy import read_given
 
     def refuse_to_overwrite() -> None:
@@ -156,15 +153,15 @@ class _Interview:
 
     def __init__(self, questions: Questions, given: Given | None, source: Path | None, name: str) -> None:
         """Start with an empty draft."""
-        from taciturn.problem.draft import Draft
+        from taciturn_new.draft import Draft
 
         self.questions, self.given, self.source, self.name = questions, given, source, name
         self.draft = Draft()
 
     def complete(self, dt: float | None, kind: str | None) -> str:
         """Ask for all missing values, and return the text of the problem file."""
-        from taciturn.problem.draft import over_losses
         from taciturn.problem.parameters import find_kind
+        from taciturn_new.draft import over_losses
 
         questions = self.questions
         chosen = None if kind is None else find_kind(kind, "the kind")
@@ -205,7 +202,7 @@ class _Interview:
             )
 
     def _ask_time(self, dt: float | None) -> None:
-        from taciturn._arrays import number
+        from taciturn.extend import number
         from taciturn.problem.matrices import parse_number
 
         told = None if self.given is None else self.given.dt
@@ -263,7 +260,7 @@ class _Interview:
 
     def _ask_network(self, default: str, kinds: Sequence[PolicyKind]) -> None:
         """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
-        from taciturn._arrays import number
+        from taciturn.extend import number
         from taciturn.problem.matrices import parse_number
 
         def read_protocol(text: str) -> str:
@@ -292,9 +289,9 @@ class _Interview:
 
     def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
-        from taciturn.problem.draft import needed_parameters, over_losses, suggest_value
         from taciturn.problem.matrices import parse_number
         from taciturn.problem.parameters import check_parameter
+        from taciturn_new.draft import needed_parameters, over_losses, suggest_value
 
         if kind is None and self.draft.network:
             kind = next(kind for kind in over_losses() if self.draft.fits(kind))
@@ -317,8 +314,8 @@ class _Interview:
         return policy | {name: usual for name, usual in chosen.usual.items() if name not in (*needed, *chosen.asked)}
 
     def _ask_kind(self) -> PolicyKind:
-        from taciturn.problem.draft import offered_kinds
         from taciturn.problem.parameters import find_kind
+        from taciturn_new.draft import offered_kinds
 
         offered, wrong = offered_kinds()
         for sentence in wrong:

@@ -4,12 +4,10 @@ In stationary operation, the probability per step is the share of the steps in w
 probability within a window is that of at least one violation in the window, such as an hour. A window is simulated if
 it is short; otherwise the probability without a violation decays by the same factor in each later part of it.
 
-**Importance splitting** (RESTART). The level of a path is the number of thresholds that its height exceeds: the largest
-distance beyond a limit, in standard deviations. A path that rises by a level is replaced by four paths with a quarter
-of its weight each, which continue with random numbers of their own. All but the first end when they fall below the
-level at which they began. So a path of level l has the weight 4^−l, and for every function of the path, the weighted
-sum over all paths has the same mean as without copies: shares of time are unbiased, for any thresholds. Without
-thresholds, this is plain simulation. Thresholds are placed one after the other while the simulation continues.
+The height of a path is the largest distance beyond a limit, in standard deviations. Paths are copied when they rise
+above thresholds of the height (``splitting``). Thresholds are placed one after the other while the simulation
+continues, each so that one path in four above the last threshold exceeds it: with four copies of each such path, the
+number of paths at each level is about the same.
 
 Standard errors come from sums over an original path and all its copies, which are independent of the others.
 
@@ -18,30 +16,22 @@ Source: villen2002
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from taciturn._arrays import Array, Bits, instance
-from taciturn._modes import closure
-from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.errors import ProblemError
+from taciturn.extend import Array, Bits, Progress, Stages, closure, in_notebook, instance
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits, Violation, Violations
-from taciturn.program.draws import GENERATOR, seed_generators
-from taciturn.program.engine import Runner
-from taciturn.program.ir import Program
+from taciturn.program.draws import GENERATOR
 from taciturn.simulation.average import check_effort, plain_average
 from taciturn.simulation.reliability import escapes, expect_arrivals, wandering_noise
 from taciturn.simulation.sampling import HUGE, Estimator, Part, Sampling, sends
+from taciturn_rare.splitting import COPIES, Splitting
 
-_COPIES = 4
 _MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
-MOST_PATHS = 1 << 18  # above this number, the highest threshold is removed
-
-_Whole = npt.NDArray[np.int64]
 _ACCURACY = 0.05  # default standard error, relative to the probability per step
 _ORIGINALS = 1024  # paths that are no copies
 _SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
@@ -164,7 +154,7 @@ class _Search:
     def measured(self, picked: Sequence[int], begun: float) -> list[Violation]:
         """Return the probability of each limit and of all, with copies near the picked limits."""
         split = Splitting(
-            self.loop, self.program, self.run, self.settled, self.seed, lambda x: self._excess(x)[picked].max(axis=0)
+            self.program, self.run, self.settled, self.seed, lambda x: self._excess(x)[picked].max(axis=0)
         )
         self._place(split)
         parts, length = (1, self.ticks) if self.ticks <= 2 * self.half else (2, self.half)
@@ -197,7 +187,7 @@ class _Search:
         """Return a probability from sums over steps and windows."""
         # A standard error is at least that of one event, and at least the share of time above the highest threshold if
         # few paths have seen a violation.
-        least = float(_COPIES) ** -levels / len(shares)
+        least = float(COPIES) ** -levels / len(shares)
         few = np.count_nonzero(shares) < _SEEN
         unseen = near if few else 0.0
         per_step = _mean(shares / steps, max(least / steps, unseen))
@@ -218,7 +208,7 @@ class _Search:
         split.marks |= events
 
     def _place(self, split: Splitting) -> None:
-        """Place thresholds, each of which one path in ``_COPIES`` above the last one exceeds."""
+        """Place thresholds, each of which one path in ``COPIES`` above the last one exceeds."""
         for _ in range(_MOST_LEVELS):
             if self.horizon is not None:
                 split.restart(self._begun(split.originals))
@@ -228,7 +218,7 @@ class _Search:
                 heights.append(split.top)
                 self.progress.tick()
             reached = np.concatenate(heights)
-            threshold = float(np.quantile(reached, 1 - 1 / _COPIES)) if reached.size else 0.0
+            threshold = float(np.quantile(reached, 1 - 1 / COPIES)) if reached.size else 0.0
             often = not len(split.thresholds) and (reached > 0).mean() > _OFTEN
             if often or not threshold < 0:
                 return
@@ -333,111 +323,3 @@ def _mean(values: Array, least: float) -> Estimate:
     """Return the mean over paths, with a standard error of at least that of one event."""
     error = float(values.std(ddof=1) / np.sqrt(len(values)))
     return Estimate(float(values.mean()), max(error, least), "simulation")
-
-
-class Splitting:
-    """Paths of a loop with their copies, advanced step by step."""
-
-    def __init__(
-        self, loop: Loop, program: Program, run: Runner, states: Array, seed: int, height: Callable[[Array], Array]
-    ) -> None:
-        """Start with the original paths, without thresholds."""
-        named = [state.name for state in program.states]
-        self._x, self._words = (
-            np.array([i for i, name in enumerate(named) if name == wanted], dtype=np.int64)
-            for wanted in ("x", GENERATOR)
-        )
-        self._run, self._seed, self._height = run, seed, height
-        self.originals, self._drawn = states.shape[1], states.shape[1]
-        self._loop, self.thresholds = loop, np.empty(0)
-        self.steps = 0
-        self.restart(states)
-
-    def restart(self, states: Array) -> None:
-        """Replace all paths by original paths with given states."""
-        self.states = states
-        self.root: _Whole = np.arange(self.originals, dtype=np.int64)
-        self._level, self._first = (np.zeros(self.originals, dtype=np.int64) for _ in range(2))
-        self.marks: Bits = np.zeros((0, self.originals), dtype=np.bool_)
-        self.heights = self._height(self.x)
-        self._branch()
-
-    @property
-    def x(self) -> Array:
-        """The states of the plant, (n, paths)."""
-        return self.states[self._x]
-
-    @property
-    def weight(self) -> Array:
-        """The weight of each path, (paths,)."""
-        return np.power(float(_COPIES), -self._level.astype(np.float64))
-
-    @property
-    def top(self) -> Array:
-        """The heights of the paths above all thresholds."""
-        return self.heights[self._level == len(self.thresholds)]
-
-    @property
-    def near(self) -> float:
-        """The weighted share of the paths above all thresholds."""
-        return float(_COPIES) ** -len(self.thresholds) * len(self.top) / self.originals
-
-    @property
-    def original(self) -> Bits:
-        """Mask of the paths that are no copies, (paths,)."""
-        return np.asarray(self._first == 0, dtype=np.bool_)
-
-    def mark(self, events: int) -> None:
-        """Give each path a mark for each of so many events, none of which is set; copies inherit the marks."""
-        self.marks = np.zeros((events, self.states.shape[1]), dtype=np.bool_)
-
-    def step(self) -> None:
-        """Advance all paths by one step, and copy or end those that change their level."""
-        self.steps += self.states.shape[1]
-        self.states = self._run(self.states, 1, None).states
-        self.heights = self._height(self.x)
-        self._branch()
-
-    def add(self, threshold: float) -> None:
-        """Add a threshold above all others, and copy the paths above it."""
-        self.thresholds = np.append(self.thresholds, threshold)
-        self._branch()
-
-    def sums(self, values: Bits) -> Array:
-        """Return the weight of the paths of a mask, (paths,), summed over each original path and its copies."""
-        return np.asarray(np.bincount(self.root, self.weight * values, self.originals), dtype=np.float64)
-
-    def _branch(self) -> None:
-        """Copy the paths that have risen to another level, and end the copies that fell below their first level."""
-        while True:
-            # a path that rises by l levels becomes 4^l paths with 4^−l of its weight; a copy ends below its first level
-            new = np.searchsorted(self.thresholds, self.heights)
-            powers = _COPIES ** np.arange(len(self.thresholds) + 1)
-            many = np.where(new < self._first, 0, powers[np.maximum(new - self._level, 0)])
-            if many.sum() <= MOST_PATHS or not len(self.thresholds):
-                break
-            self._remove_highest()
-        if (many == 1).all():
-            self._level = new
-            return
-        # of 4^l paths, one continues the path, three begin one level higher, twelve two levels higher, …
-        at = np.repeat(np.arange(len(many)), many)
-        number = np.arange(len(at)) - np.repeat(np.cumsum(many) - many, many)  # of a copy; 0 continues the path
-        first = np.where(number == 0, self._first[at], self._level[at] + np.searchsorted(powers, number, "right"))
-        copied = np.flatnonzero(number)
-        self._keep(at, new, first)
-        if len(self._words):
-            self.states[np.ix_(self._words, copied)] = seed_generators(self._seed, len(copied), self._drawn)
-        self._drawn += len(copied)
-
-    def _remove_highest(self) -> None:
-        """Remove the highest threshold with the copies that began there."""
-        self.thresholds = self.thresholds[:-1]
-        highest = len(self.thresholds)
-        self._keep(np.flatnonzero(self._first <= highest), np.minimum(self._level, highest), self._first, False)
-
-    def _keep(self, at: _Whole, level: _Whole, first: _Whole, told: bool = True) -> None:
-        """Keep the paths of some indices, each perhaps several times."""
-        self.states, self.root, self.heights = self.states[:, at], self.root[at], self.heights[at]
-        self.marks, self._level = self.marks[:, at], level[at]
-        self._first = first if told else first[at]

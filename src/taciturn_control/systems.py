@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, instance
 from taciturn.errors import ProblemError
+from taciturn.extend import Array, ArrayLike, instance
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import registered
 from taciturn.model.coverage import PLANTS, POINT, Coverage

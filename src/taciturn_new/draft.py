@@ -21,13 +21,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, is_definite
-from taciturn._display import Displayed
-from taciturn._modes import pace, radius
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind, Setting
 from taciturn.design.kinds.all_time import all_time
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.extend import Array, ArrayLike, Displayed, is_definite, pace, radius
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.controller import PID
 from taciturn.model.cost import Cost

@@ -1,0 +1,197 @@
+"""Reception of datagrams, with a key only from senders that are running, and repetition of the packets of a sender.
+
+A tag shows that a packet was once sent by a holder of the key, but not when. Therefore a process accepts the packets of
+an epoch only after their sender has answered a *challenge*:
+
+1. A packet of an epoch without proof arrives. The receiver discards it, and sends a challenge with a random number
+   (nonce) to the address from which the packet came.
+2. The sender answers with the nonce, its epoch, and the first step whose packets are still valid: that before its
+   last one. It then sends the packets of these steps again, so that a discarded packet is not lost.
+3. The receiver accepts all packets of this epoch from this step on. An answer is valid once, as the next challenge has
+   another nonce.
+
+The epoch of an answer may also be smaller than the last one, so a device without a clock may draw it at random.
+Without keys, anybody can send packets, and a larger epoch replaces a smaller one without a challenge.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from taciturn.model.wire import BACK, HEADER_SIZE, OFFSETS, PROOFS, VERSION
+from taciturn.nodes.inbox import packet_of
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Address
+from taciturn_udp.service import QUIET, Port, Say
+
+VALID = 2  # last steps of a sender whose packets are valid after its answer, and which it sends again
+UNANSWERED = 64  # challenges without an answer after which a message says so
+
+
+def disagreement(name: str, why: str, keyed: bool, sender: Address, datagram: bytes) -> str | None:
+    """Return a message if a datagram is rejected because the sender has another policy, key or release, else None."""
+    version = datagram[OFFSETS["version"]] if len(datagram) > HEADER_SIZE else VERSION
+    if why == "foreign" and version != VERSION:
+        return (
+            f"the {name} refuses packets of version {version} of the wire format from {sender[0]}:{sender[1]}; "
+            f"expected version {VERSION}: run the same release of taciturn on both sides, and export firmware again"
+        )
+    others = {"foreign": "of another policy, or with a key on one side only,", "forged": "of another key"}
+    others |= {"malformed": "too short for the tag of a key"} if keyed else {}
+    if why not in others:
+        return None
+    return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file and --key?"
+
+
+@dataclass
+class _Session:
+    """The state of a sender: its proven epoch, its first valid step, and the nonce of an open challenge."""
+
+    epoch: int | None = None
+    first: int = 0
+    nonce: int | None = None
+    unanswered: int = 0
+
+
+class Reception:
+    """The received datagrams of a process, which receives from one sender on each link of a loop."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        port: Port,
+        name: str,
+        links: Iterable[str],
+        say: Say | None = None,
+        draw: Callable[[], int] | None = None,
+    ) -> None:
+        """Start without proofs."""
+        if wire.keys is not None:
+            wire.keys.check(name, links)
+        self._wire, self._port, self._name = wire, port, name
+        self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
+        self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
+        self.counters: Counter[str] = Counter()  # challenges sent and answered, proofs received, answers not asked for
+        self._known: dict[tuple[str, int], _Session] = {}
+
+    def packets(self, received: Iterable[tuple[bytes, Address]]) -> Iterator[tuple[Packet, Address]]:
+        """Yield the packets of received datagrams, and their senders; refuse invalid datagrams."""
+        changed = None if self._wire.keys is None else self._wire.keys.renew()
+        if changed is not None:
+            self._tell(changed)
+        for datagram, sender in received:
+            packet = self._wire.decode(datagram)
+            if isinstance(packet, Packet):
+                yield packet, sender
+                continue
+            self.refused[packet] += 1
+            sentence = disagreement(self._name, packet, self._wire.keyed, sender, datagram)
+            if sentence is not None and self.refused[packet] == 1:
+                self._tell(sentence)
+
+    def admits(self, packet: Packet, sender: Address) -> bool:
+        """Return whether the sender of a packet has proven that it is running; if not, challenge it."""
+        if not self._wire.keyed:
+            return True
+        session = self._known.setdefault((packet.link, packet.loop), _Session())
+        if packet.epoch == session.epoch:
+            if packet.tick < session.first:
+                self.refused["replayed"] += 1
+            return packet.tick >= session.first
+        self.refused["unproven"] += 1
+        if session.nonce is None:
+            session.nonce = self._draw()
+        back = packet.kind not in BACK and not packet.back
+        asked = Packet("challenge", packet.link, 0, 0, loop=packet.loop, back=back, nonce=session.nonce)
+        self._port.send(self._wire.encode(asked), sender)
+        self.counters["challenges"] += 1
+        session.unanswered += 1
+        if session.unanswered == UNANSWERED:
+            self._tell(
+                f"the {self._name} has discarded {UNANSWERED} packets on the {packet.link} link, because "
+                f"{sender[0]}:{sender[1]} does not answer its challenges; expected an answer from the running sender: "
+                "are these recorded packets, or does a firewall stop datagrams to that address?"
+            )
+        return False
+
+    def accepts(self, answer: Packet) -> bool:
+        """Store the proof in an answer, and return whether it begins another epoch; discard any other answer."""
+        session = self._known.get((answer.link, answer.loop))
+        if session is None or session.nonce is None or session.nonce != answer.nonce:
+            self.counters["unasked"] += 1
+            return False
+        self.counters["proofs"] += 1
+        other = session.epoch != answer.epoch
+        session.epoch, session.first, session.nonce, session.unanswered = answer.epoch, answer.tick, None, 0
+        return other
+
+    def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
+        """Return the answer of a process that has executed step ``tick`` last (-1: none), and count it."""
+        self.counters["answered"] += 1
+        return answer_to(challenge, epoch, tick)
+
+    def save(self) -> list[list[Any]]:
+        """Return the proofs as values that JSON can represent."""
+        return [[*name, session.epoch, session.first] for name, session in self._known.items()]
+
+    def restore(self, saved: list[list[Any]]) -> None:
+        """Continue from saved proofs."""
+        for link, loop, epoch, first in saved:
+            self._known[link, loop] = _Session(epoch, first)
+
+    def _tell(self, sentence: str) -> None:
+        if self._say is not None:
+            self._say(sentence)
+
+
+def answer_to(challenge: Packet, epoch: int, tick: int) -> Packet:
+    """Return the answer of a sender that has executed step ``tick`` last (-1: none)."""
+    assert challenge.kind in PROOFS
+    first = max(tick + 1 - VALID, 0)
+    return Packet("answer", challenge.link, first, 0, (), epoch, challenge.loop, not challenge.back, challenge.nonce)
+
+
+class Outbox:
+    """The packets of the last steps of the nodes of a process, one node for each loop."""
+
+    def __init__(self, wire: Wire, port: Port, peers: Mapping[str, Address], loops: int) -> None:
+        """Start without packets."""
+        self._wire, self._port, self._peers = wire, port, peers
+        # in lockstep a node may be one step ahead of its receiver, which then lacks the packets of two steps
+        self._last = [deque[list[Packet]](maxlen=VALID) for _ in range(loops)]
+        self.counters: Counter[str] = Counter()  # packets sent again, by kind and link
+        self._repeated: dict[tuple[int, str | None], float] = {}  # time of the last repetition, by loop and link
+
+    def keep(self, loop: int, packets: list[Packet]) -> None:
+        """Remember the packets of a step."""
+        self._last[loop].append(packets)
+
+    def send(self, packets: Sequence[Packet]) -> None:
+        """Send packets to the other ends of their links."""
+        for packet in packets:
+            self._port.send(self._wire.encode(packet), self._peers[packet.link])
+
+    def repeat(self, loop: int, now: float, link: str | None = None) -> None:
+        """Send the packets of the last steps again, in their order: of one link, or of all links.
+
+        The rate is limited, so that an attacker who repeats a datagram does not cause many others.
+        """
+        if now - self._repeated.get((loop, link), -QUIET) < QUIET:
+            return
+        self._repeated[loop, link] = now
+        for sent in self._last[loop]:
+            again = [packet for packet in sent if link in (None, packet.link)]
+            self.counters.update(f"sent again {packet.kind} {packet.link}" for packet in again)
+            self.send(again)
+
+    def save(self) -> list[list[list[Any]]]:
+        """Return the packets of the first node as values that JSON can represent."""
+        return [[list(packet) for packet in sent] for sent in self._last[0]]
+
+    def restore(self, saved: list[list[list[Any]]]) -> None:
+        """Continue from saved packets."""
+        self._last[0].extend([packet_of(entry) for entry in sent] for sent in saved)
