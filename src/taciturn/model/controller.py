@@ -1,11 +1,18 @@
 """Linear controllers that a user already has, such as PID controllers, in the time steps of a policy.
 
-A controller computes the input u = C z + D y with the state z⁺ = A z + B y + E u; E feeds the applied input back. The
-method ``at`` of each controller returns the ``Controller`` for the steps, inputs and outputs of a plant.
+A controller computes the input from the measurement, in discrete or in continuous time, by
 
-PID controllers, alone or several of them, each from one output of a plant to one input.
+    z⁺ = A z + B y + E u   or   dz/dt = A z + B y,   and   u = C z + D y.
 
-Controllers that a user already has, and the conversion of systems of other libraries into controllers.
+E feeds the applied input back, as observers and anti-windup do. The method ``at`` returns the ``Controller`` for the
+steps, inputs and outputs of a plant: a continuous one is discretised, and ``PIDLoops`` are several PID controllers,
+each from one output to one input, whose states stand one below the other.
+
+A set-point is subtracted from the measurement. Weights of a set-point only change the state at which the controller
+rests, as it is constant. A controller with an integrator compensates a slow ``Disturbance`` at the inputs.
+
+``controller_from`` converts systems of other libraries. ``relative_to`` counts set-points and inputs from the
+operating point of a plant.
 """
 
 from __future__ import annotations

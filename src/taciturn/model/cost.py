@@ -1,4 +1,10 @@
-"""The quadratic cost."""
+"""The quadratic cost x'Qx + u'Ru + 2x'Nu, by which policies are designed and compared.
+
+It is an average over infinite time, a total over a horizon of steps with a weight of the final state, or a discounted
+sum. The matrix [[Q, N], [N', R]] must be positive semidefinite, so that no input gains by growing; R alone may be
+singular if every input moves states that have a cost, which the regulator checks. Weights may follow from variances
+that count equally (``Cost.of_variances``).
+"""
 
 from __future__ import annotations
 

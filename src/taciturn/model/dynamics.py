@@ -1,6 +1,15 @@
-"""Nonlinear plants x⁺ = f(x, u, w), their linearisation for the design, and integration of differential equations.
+"""Nonlinear plants x⁺ = f(x, u, w), their linearisation for the design, and their equilibria.
 
-Equilibria of nonlinear plants, which are their operating points.
+A function f of a user is plain NumPy. ``Dynamics`` calls it, turns its exceptions into messages, and sends it to other
+processes as the text of its file. ``integrate`` makes one of a differential equation, by the Runge–Kutta method.
+
+A plant states A and B in addition to f. ``Dynamics.check`` compares them with the derivatives of f at the operating
+point, where f must rest, and expects noise that adds to the next state. A derivative is the limit of central
+differences (f(h) − f(−h))/2h for h → 0. Their error is a series in h², so halving h and combining two of them removes
+a term after the other (Ridders). The combination with the least doubt is kept: with short steps rounding errors grow.
+
+``equilibrium`` solves f(x, u, 0) = x by Newton's method; its matrix is A − I, whose least-squares solution also serves
+plants that integrate.
 """
 
 from __future__ import annotations

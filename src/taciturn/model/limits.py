@@ -1,4 +1,9 @@
-"""Limits of a plant's states, bounds on combinations z = C_z x, and the probabilities of their violation."""
+"""Limits of a plant's states, bounds on combinations z = C_z x, and the probabilities of their violation.
+
+Limits concern neither the design nor the loop. A study computes for each of them how often a step violates it, and how
+likely one violation is within a window: an hour, some steps, or a run. ``Violations`` holds the results: by limit, and
+for all limits together. They are simulated, or computed by importance splitting if violations are rare.
+"""
 
 from __future__ import annotations
 

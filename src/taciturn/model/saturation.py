@@ -1,4 +1,11 @@
-"""The limits of actuators: the input that an actuator applies for a command."""
+"""The limits of actuators: the input that an actuator applies for a command.
+
+An input first moves towards the command, by at most its rate in a step, and is then brought between its limits, so that
+it never leaves them. Limits are stated per input as a positive number, which is symmetric, or as a pair [low, high], in
+which a side may be infinite; a plant stores them as (m, 2).
+
+The operations are those that exported code carries out, on numbers or on arrays with one entry per path.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Validation of the parameters of a policy kind against its design function."""
+"""The parameters of a policy kind, checked against its design function.
+
+The function declares what the table ``[policy]`` may state: a parameter without a default is required, its annotation
+is the type, and a matrix is a list of rows in a file. So a new parameter of a kind is one argument of its function.
+Ranges are checked by the function itself.
+"""
 
 from __future__ import annotations
 
