@@ -195,25 +195,18 @@ COLUMNS: tuple[Field[Evaluation], ...] = (
 )
 """Variables of the result, in the order of its file; then those of ``Evaluation.FIELDS`` that have a column."""
 MISSING = {"steps": 0, "reached": False}  # what stands for no value; else NaN, or no text
-PARTS = (("", "value"), ("_standard_error", "standard_error"))
 
 
 def _columns(found: Evaluation) -> list[Field[Evaluation]]:
     """Return the variables of an answer: those of all answers, the rates of its links, and violations of limits."""
     columns = [*COLUMNS, *(Field(one.column, one.of, unit=one.unit) for one in Evaluation.FIELDS if one.column)]
     columns += [
-        Field[Evaluation](
-            f"rate_{link}{suffix}", lambda e, link=link, part=part: getattr(e.rates[link], part), unit=SENDS
-        )
-        for link in sorted(found.rates)
-        for suffix, part in PARTS
+        Field[Evaluation](f"rate_{link}", lambda e, link=link: e.rates[link], unit=SENDS) for link in sorted(found.rates)
     ]
     seen = found.violations
     for name, share in () if seen is None else seen.records().items():
         unit = f"per {seen.window}" if seen is not None and name == "violation_within" else "share of the steps"
-        columns += [
-            Field(name + end, lambda _, share=share, part=part: getattr(share, part), unit=unit) for end, part in PARTS
-        ]
+        columns.append(Field[Evaluation](name, lambda _, share=share: share, unit=unit))
     return columns
 
 
@@ -237,17 +230,24 @@ class _Table:
             return
         self.methods.add(answer.method)
         for column in _columns(answer):
-            name, value, unit = column.name, column.of(answer), column.unit.format(of=answer)
-            if value is None:
-                continue
-            if name not in self.columns:
-                missing = "" if isinstance(value, str) else MISSING.get(name, math.nan)
-                kind = object if isinstance(value, str) else np.asarray(missing).dtype
-                self.columns[name] = np.full(len(self.seeds), missing, dtype=kind)
-                self.units[name] = unit
-            elif self.units[name] != unit:
-                raise ProblemError(f"the grid mixes {self.units[name]} and {unit}; expected one unit: use two sweeps")
-            self.columns[name][index] = value
+            value, unit = column.of(answer), column.unit.format(of=answer)
+            parts = {column.name: value}
+            if isinstance(value, Estimate):
+                parts = {column.name: value.value, f"{column.name}_standard_error": value.standard_error}
+            for name, part in parts.items():
+                self._write(index, name, part, unit)
+
+    def _write(self, index: int, name: str, value: Any, unit: str) -> None:
+        if value is None:
+            return
+        if name not in self.columns:
+            missing = "" if isinstance(value, str) else MISSING.get(name, math.nan)
+            kind = object if isinstance(value, str) else np.asarray(missing).dtype
+            self.columns[name] = np.full(len(self.seeds), missing, dtype=kind)
+            self.units[name] = unit
+        elif self.units[name] != unit:
+            raise ProblemError(f"the grid mixes {self.units[name]} and {unit}; expected one unit: use two sweeps")
+        self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:
         """Warn about cells without an answer."""

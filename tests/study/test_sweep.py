@@ -389,3 +389,21 @@ def test_a_field_of_an_evaluation_with_a_column_is_a_variable_of_a_sweep(monkeyp
     assert found.spared.attrs == {"units": "1"}
     evaluation = evaluate(load("two-mass-lqg"), steps=20_000)
     assert evaluation.document()["spared"] == 1 - evaluation.rates["actuator"].value
+
+
+def test_a_field_with_a_column_is_in_each_table_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An estimate is one entry of a table, and two columns of pandas and of a sweep; the list of fields is its place."""
+    field = Field[Evaluation]("spared", lambda found: found.rates["actuator"].scaled(-1.0, 1.0), column="spared", say="spared")
+    monkeypatch.setattr(Evaluation, "FIELDS", (*Evaluation.FIELDS, field))
+    mass = load("two-mass-lqg")
+    one = evaluate(mass, steps=20_000)
+    assert f"spared         {field.of(one)}" in str(one)
+    assert one.columns()["spared"] == [field.of(one), *[None] * (len(one.columns()["name"]) - 1)]
+    grid = tradeoff(mass, {"theta": [0.1]}, standard_error=1e-2)
+    ranked = compare({"hold": mass, "model": mass.changed({"actuation": "model"})}, 0.3, standard_error=1e-2)
+    for table in (grid, ranked):
+        (heading,) = (line for line in str(table).splitlines() if "spared" in line)
+        assert heading.split()[-1] == "spared"
+        assert "spared_standard_error" in table.to_csv()
+    assert ranked.document()["ranking"][0]["spared"]["value"] == pytest.approx(0.7, abs=0.01)
+    assert "spared_standard_error" in sweep(mass, {"theta": [0.1]}, standard_error=1e-2)

@@ -38,6 +38,7 @@ from taciturn.study.evaluation import (
     Evaluation,
     TimeUnit,
     Unit,
+    columns_of,
     cost_unit,
     percent_above,
     rate_unit,
@@ -458,6 +459,7 @@ class Comparison(Tabular):
             ),
             Field("statement", lambda one: None if one.cost_bound is None else one.tuned.evaluation.statement),
             Field("notes", "tuned.evaluation.notes"),
+            *columns_of(lambda one: one.tuned.evaluation),
         )
 
     def remarks(self) -> Iterator[str]:

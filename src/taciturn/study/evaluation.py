@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -358,6 +358,7 @@ def _at_limits(limits: Saturation, applied: Array, before: Array) -> Array:
     return np.asarray(found.any(axis=-1), dtype=np.float64)
 
 
+R = TypeVar("R")  # row of a table
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error
 DAY = 86400.0  # seconds
@@ -786,4 +787,23 @@ class Evaluation(Tabular):
             *([Field("extra", extra, column="extra_percent", say="extra cost", text=above)] if base else []),
             *map(rate, self.rates),
             *(violation(name, share) for name, share in seen),
+            *columns_of(lambda row: self if row.name == "this policy" else None, said=False),
         )
+
+
+def columns_of(evaluation: Callable[[R], Evaluation | None], said: bool = True) -> list[Field[R]]:
+    """Return the fields of evaluations that have a column, for a table that has an evaluation in its rows."""
+
+    def column(one: Field[Evaluation]) -> Field[R]:
+        def value(row: R) -> Any:
+            found = evaluation(row)
+            return None if found is None else one.of(found)
+
+        def cell(row: R) -> str:
+            found = evaluation(row)
+            return "" if found is None else one.cell(found)
+
+        heading = one.say if said else None
+        return replace(cast("Field[Any]", one), value=value, say=heading, text=cell)
+
+    return [column(one) for one in Evaluation.FIELDS if one.column]

@@ -30,6 +30,7 @@ from taciturn.study.evaluation import (
     Evaluation,
     TimeUnit,
     Unit,
+    columns_of,
     percent_above,
     rate_unit,
 )
@@ -267,6 +268,7 @@ class Tradeoff(Tabular):
                 up=-1,
             ),
             *map(violation, dict.fromkeys(name for one in seen for name in one.records())),
+            *columns_of(lambda point: point.evaluation),
         )
 
     @property
