@@ -7,10 +7,10 @@ functions run one step of the program (``together.StepFunction``): the numbers a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +29,6 @@ from taciturn.nodes.together import Nodes, StepFunction
 from taciturn.program.all_nodes import lower_policy
 from taciturn.program.ops import Entry, Sent
 
-Function: TypeAlias = Callable[[float, Array, Array, object], Array]
-"""Function from time, state, input and parameters to the next state, or to the output."""
 _NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
 _CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
@@ -94,13 +92,14 @@ def to_control(
     if isinstance(thing, Plant | ContinuousPlant):
         _CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
-        return _state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
+        D = 0 if thing.D is None else thing.D
+        return _control().StateSpace(thing.A, thing.B, thing.C, D, 0, name="plant")
     if isinstance(thing, Plant) and thing.D is not None:
         thing = registered(thing, thing)
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function)
     if isinstance(thing, Plant):
-        return _state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
+        return _control().StateSpace(thing.A, thing.B, thing.C, 0, _step(thing), name="plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
@@ -150,7 +149,8 @@ def from_control(
         >>> from_control(control.ss([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
         0.1
     """
-    if not _is_linear(system):
+    control = _control()
+    if not isinstance(system, (control.StateSpace, control.TransferFunction)):
         raise ProblemError(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
             "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
@@ -187,7 +187,15 @@ def _system(
 
     outputs = _labels(shown)
     outputs += [f"sent_{link}" for link in links]
-    return _nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
+    return _control().NonlinearIOSystem(
+        update,
+        output,
+        states=[*turns.states, "tick"],
+        inputs=_labels(taken),
+        outputs=outputs,
+        dt=_step(plant),
+        name=name,
+    )
 
 
 def _moving(plant: Plant, function: Dynamics) -> Any:
@@ -201,7 +209,9 @@ def _moving(plant: Plant, function: Dynamics) -> Any:
         return plant.C @ x
 
     taken, shown = _labels({"u": plant.inputs}), _labels({"y": plant.outputs})
-    return _nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
+    return _control().NonlinearIOSystem(
+        update, output, states=names, inputs=taken, outputs=shown, dt=_step(plant), name="plant"
+    )
 
 
 def _step(plant: Plant) -> float | bool:
@@ -212,32 +222,6 @@ def _step(plant: Plant) -> float | bool:
 def _labels(signals: Mapping[str, int]) -> list[str]:
     """Return the names of the entries of signals in python-control, such as ``y[0]``."""
     return [f"{_NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
-
-
-def _state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
-    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
-    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
-
-
-def _nonlinear_system(
-    update: Function,
-    output: Function,
-    states: Sequence[str],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    dt: float | bool,
-    name: str,
-) -> Any:
-    """Return the `control.NonlinearIOSystem` of two functions."""
-    return _control().NonlinearIOSystem(
-        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
-    )
-
-
-def _is_linear(system: object) -> bool:
-    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
-    control = _control()
-    return isinstance(system, (control.StateSpace, control.TransferFunction))
 
 
 def _control() -> Any:

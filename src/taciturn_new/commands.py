@@ -217,7 +217,7 @@ class _Interview:
     def _ask_time(self, dt: float | None) -> None:
         from taciturn.errors import ProblemError
         from taciturn.extend import number
-        from taciturn.problem.matrices import parse_number
+        from taciturn.problem.settings import parse_number
 
         told = None if self.given is None else self.given.dt
         if dt is not None and told is not None and dt != told:
@@ -276,7 +276,7 @@ class _Interview:
         """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
         from taciturn.errors import ProblemError
         from taciturn.extend import number
-        from taciturn.problem.matrices import parse_number
+        from taciturn.problem.settings import parse_number
 
         def read_protocol(text: str) -> str:
             word = text.lower()
@@ -304,8 +304,8 @@ class _Interview:
 
     def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
-        from taciturn.problem.matrices import parse_number
         from taciturn.problem.parameters import check_parameter
+        from taciturn.problem.settings import parse_number
         from taciturn_new.draft import needed_parameters, over_losses, suggest_value
 
         if kind is None and self.draft.network:
@@ -357,7 +357,7 @@ class _Interview:
     def _take(self, key: str, question: str, usual: str | None = None) -> None:
         """Take a matrix from the file, or prompt for it."""
         from taciturn.errors import ProblemError, TaciturnError
-        from taciturn.problem.matrices import parse_matrix, parse_noise
+        from taciturn_new.matrices import parse_matrix, parse_noise
 
         if self.given is None or key not in self.given.arrays:
 
