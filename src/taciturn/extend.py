@@ -11,10 +11,12 @@ from taciturn._arrays import Bits as Bits
 from taciturn._arrays import array as array
 from taciturn._arrays import choice as choice
 from taciturn._arrays import count as count
+from taciturn._arrays import expect_unmasked as expect_unmasked
 from taciturn._arrays import frozen as frozen
 from taciturn._arrays import instance as instance
 from taciturn._arrays import is_definite as is_definite
 from taciturn._arrays import number as number
+from taciturn._arrays import quoted as quoted
 from taciturn._arrays import semidefinite as semidefinite
 from taciturn._arrays import square as square
 from taciturn._arrays import symmetrised as symmetrised

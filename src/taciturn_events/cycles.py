@@ -120,11 +120,6 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
     return with_draws(b.finish(following, sums, outputs))
 
 
-def sampled_start(program: Program, paths: int, seed: int) -> Array:
-    """Return the initial program states of simulated paths, just after a send."""
-    return filled_states(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
-
-
 def _noise(tick: TimeStep, noise: Array | JumpNoise) -> list[int]:
     if isinstance(noise, JumpNoise):
         return add_jumps(tick, noise)
@@ -376,8 +371,9 @@ def _written(process: ErrorProcess, trigger: CycleTrigger) -> Program:
 
 
 def _start(process: ErrorProcess, program: Program, paths: int, seed: int) -> Array:
+    """Return the initial program states of simulated paths, just after a send."""
     if isinstance(process, SampledProcess):
-        return sampled_start(program, paths, seed)
+        return filled_states(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
     return start_cycles(process, program, paths, seed)
 
 

@@ -5,7 +5,7 @@ core implements packets, their checks, the step of a node, and the exchange of p
 It allocates no memory. The self-check, the FMU and the emulated boards run the same files. They compare every decision
 and every bit of the input with a recording of the loop's bit-exact build.
 
-Before an export in single precision, the loop is simulated in both precisions, and refused if its cost rises
+Before an export in single precision, the loop is simulated in both precisions, and refused if the costs differ
 (``bear_single``).
 """
 

@@ -1,4 +1,14 @@
-"""Lower bounds on the cost of every send schedule of a controller at a given rate, and the optimal send schedule."""
+"""Lower bounds on the cost of every send schedule of a controller at a given rate, and the optimal send schedule.
+
+For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send (σ = 1) resets. For
+any price λ of a send, duality (``dual``) gives a g with E[(1−σ)e'Γe + λσ] ≥ g. Therefore
+
+    J ≥ J_all + g − λ·rate
+
+for every schedule. λ is the price for which a nearly optimal schedule has the given rate, approximately: any price
+gives a bound. It is found by the secant method, first for a threshold on e'Γe, whose rate takes little time, and then
+for a fitted schedule.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +36,7 @@ EASY = 0.97  # sends per step from which on the bound is the cost of sending eve
 def bound_below(
     loop: Loop, rate: float, confidence: float = LEVEL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
-    """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step.
-
-    For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
-    price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
-    which a nearly optimal schedule has the given rate; duality gives g (``taciturn_limits/dual``).
-    """
+    """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step."""
     reset = resets(loop)
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
     count("seed", seed, 0)

@@ -1,12 +1,12 @@
 """The command ``new``, which writes a problem file from prompts or from matrices in a file.
 
-Prompts are on a terminal, or answers come from a pipe. Each answer is stored in a ``Draft`` of the problem, which checks
-it against the earlier ones, before the next question. On a terminal, a wrong answer is told and asked again; from a
+Prompts are on a terminal, or answers come from a pipe. Each answer is stored in a ``Draft`` of the problem, which
+checks it against the earlier ones, before the next question. On a terminal, a wrong answer is told and asked again; from a
 pipe it is an error, since the answers after it would be read for other questions. The end of the input is an error in
 both cases. With ``--yes`` every question has its default.
 
-The order of the questions is the order in which a problem is understood: time, plant, measurement, noise, cost, network,
-goal, and what the policy of this goal needs. What a file given by ``--from`` contains is not asked.
+The order of the questions is the order in which a problem is understood: time, plant, measurement, noise, cost,
+network, goal, and what the policy of this goal needs. What a file given by ``--from`` contains is not asked.
 
 Modules that need numpy are imported where they are used, because ``taciturn --help`` imports this one.
 """
@@ -211,7 +211,7 @@ class _Interview:
 
     def _ask_time(self, dt: float | None) -> None:
         from taciturn.extend import number
-        from taciturn.problem.matrices import parse_number
+        from taciturn.problem.settings import parse_number
 
         told = None if self.given is None else self.given.dt
         if dt is not None and told is not None and dt != told:
@@ -269,7 +269,7 @@ class _Interview:
     def _ask_network(self, default: str, kinds: Sequence[PolicyKind]) -> None:
         """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
         from taciturn.extend import number
-        from taciturn.problem.matrices import parse_number
+        from taciturn.problem.settings import parse_number
 
         def read_protocol(text: str) -> str:
             word = text.lower()
@@ -297,8 +297,8 @@ class _Interview:
 
     def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
-        from taciturn.problem.matrices import parse_number
         from taciturn.problem.parameters import check_parameter
+        from taciturn.problem.settings import parse_number
         from taciturn_new.draft import needed_parameters, over_losses, suggest_value
 
         if kind is None and self.draft.network:
@@ -348,7 +348,7 @@ class _Interview:
 
     def _take(self, key: str, question: str, usual: str | None = None) -> None:
         """Take a matrix from the file, or prompt for it."""
-        from taciturn.problem.matrices import parse_matrix, parse_noise
+        from taciturn_new.matrices import parse_matrix, parse_noise
 
         if self.given is None or key not in self.given.arrays:
 

@@ -31,9 +31,9 @@ from taciturn.model.controller import PID
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import Problem, load, parse
-from taciturn.problem.matrices import exact_number_text, matrix_text, parse_matrix, square_matrix
 from taciturn.problem.parameters import find_kind
 from taciturn.problem.schema import ControllerKeys, CostKeys, PlantKeys, keys_of
+from taciturn_new.matrices import exact_number_text, matrix_text, parse_matrix, square_matrix
 
 LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
 SHARE = 0.2  # suggested price of a send, relative to the cost of a step with every sample

@@ -63,7 +63,7 @@ def sweep(
     import taciturn
     from taciturn.extend import answered_within, remark
     from taciturn.model.result import check_table, save_table
-    from taciturn.problem.matrices import parse_grid
+    from taciturn.problem.settings import parse_grid
     from taciturn.study.record import save_whole
     from taciturn.study.workers import processes
     from taciturn_sweep.cluster import dask_workers

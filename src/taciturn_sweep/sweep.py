@@ -201,7 +201,8 @@ def _columns(found: Evaluation) -> list[Field[Evaluation]]:
     """Return the variables of an answer: those of all answers, the rates of its links, and violations of limits."""
     columns = [*COLUMNS, *(Field(one.column, one.of, unit=one.unit) for one in Evaluation.FIELDS if one.column)]
     columns += [
-        Field[Evaluation](f"rate_{link}", lambda e, link=link: e.rates[link], unit=SENDS) for link in sorted(found.rates)
+        Field[Evaluation](f"rate_{link}", lambda one, link=link: one.rates[link], unit=SENDS)
+        for link in sorted(found.rates)
     ]
     seen = found.violations
     for name, share in () if seen is None else seen.records().items():

@@ -28,7 +28,7 @@ from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem, load
 from taciturn.problem.bare import PASSED, as_problem, pass_problem
-from taciturn.problem.matrices import parse_settings
+from taciturn.problem.settings import parse_settings
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.study.evaluation import cost_unit

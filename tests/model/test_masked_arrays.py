@@ -12,7 +12,7 @@ from taciturn import Controller, Cost, Network, Plant, ProblemError, Reference, 
 from taciturn.model.limits import Limits
 from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.model.trigger import Scheduled
-from taciturn.problem.matrices import square_matrix
+from taciturn_new.matrices import square_matrix
 
 ONE, HIDDEN = np.eye(2), np.ma.array([[0.9, 0.1], [0.0, 0.8]], mask=[[False, True], [False, False]])
 ROW = HIDDEN[0]

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import xarray
 from counts import few, scaled
 
 import taciturn
-from taciturn import Cost, Plant, Problem, ProblemError, evaluate, load, sweep
+from taciturn import Cost, Plant, Problem, ProblemError, compare, evaluate, load, sweep, tradeoff
 from taciturn.model.network import Network
 from taciturn.model.result import Field
 from taciturn.study.evaluation import Evaluation
@@ -392,8 +393,9 @@ def test_a_field_of_an_evaluation_with_a_column_is_a_variable_of_a_sweep(monkeyp
 
 
 def test_a_field_with_a_column_is_in_each_table_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An estimate is one entry of a table, and two columns of pandas and of a sweep; the list of fields is its place."""
-    field = Field[Evaluation]("spared", lambda found: found.rates["actuator"].scaled(-1.0, 1.0), column="spared", say="spared")
+    """An estimate is one entry of a table, and two columns of pandas and of a sweep."""
+    spared = Field[Evaluation]("spared", lambda found: found.rates["actuator"].scaled(-1.0, 1.0))
+    field = replace(spared, column="spared", say="spared")
     monkeypatch.setattr(Evaluation, "FIELDS", (*Evaluation.FIELDS, field))
     mass = load("two-mass-lqg")
     one = evaluate(mass, steps=20_000)

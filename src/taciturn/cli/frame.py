@@ -570,7 +570,7 @@ def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> P
     """Load a problem and change the keys that --set names."""
     from taciturn import load
     from taciturn.problem.bare import passed_problem
-    from taciturn.problem.matrices import parse_settings
+    from taciturn.problem.settings import parse_settings
 
     problem, changes = passed_problem(file) or load(file, functions=not no_functions), parse_settings(settings or [])
     return problem.changed(changes) if changes else problem

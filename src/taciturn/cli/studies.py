@@ -53,7 +53,7 @@ def tradeoff(
     """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
     import taciturn
     from taciturn._progress import answered_within
-    from taciturn.problem.matrices import parse_grid
+    from taciturn.problem.settings import parse_grid
     from taciturn.study.evaluate import choose_confidence
     from taciturn.study.workers import processes
 

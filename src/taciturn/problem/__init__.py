@@ -10,7 +10,8 @@ follow each other, and an error names the file, the key, the given value and the
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
-Matrices are also read from text (``matrices``) and from files of other programs (``matlab_and_numpy``).
+Matrices are also read from files of other programs (``matlab_and_numpy``), and values of keys from options of the
+command line (``settings``).
 """
 
 from __future__ import annotations
