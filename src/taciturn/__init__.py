@@ -32,7 +32,6 @@ _HOME = {
     "UnstableError": "errors",
     "average": "simulation.average",
     "close": "loop",
-    "compare": "study.compare",
     "controller_from": "model.controller",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
@@ -41,11 +40,21 @@ _HOME = {
     "load": "problem",
     "plant_from": "model.state_space",
     "simulate": "simulation.trajectory",
-    "tradeoff": "study.tradeoff",
-    "tune": "study.tune",
 }
 _ADDED = "taciturn.functions"  # entry points of functions that packages beside this one add, such as taciturn.sweep
-_BESIDE = ("certify", "export_c", "export_fmu", "from_control", "run_network", "share_channel", "sweep", "to_control")
+_BESIDE = (
+    "certify",
+    "compare",
+    "export_c",
+    "export_fmu",
+    "from_control",
+    "run_network",
+    "share_channel",
+    "sweep",
+    "to_control",
+    "tradeoff",
+    "tune",
+)
 __all__ = ["__version__", "design", *_BESIDE, *_HOME]  # noqa: F822  # pyright: ignore[reportUnsupportedDunderAll]  # all of them are imported when asked for
 
 

@@ -21,6 +21,7 @@ from taciturn._arrays import semidefinite as semidefinite
 from taciturn._arrays import square as square
 from taciturn._arrays import symmetrised as symmetrised
 from taciturn._display import Displayed as Displayed
+from taciturn._figure import HEIGHT as HEIGHT
 from taciturn._figure import Panel as Panel
 from taciturn._figure import Series as Series
 from taciturn._figure import Size as Size
@@ -46,8 +47,11 @@ from taciturn._process import ENDED as ENDED
 from taciturn._process import GRACE as GRACE
 from taciturn._process import LIFELINE as LIFELINE
 from taciturn._process import at_once as at_once
+from taciturn._process import deferred as deferred
+from taciturn._process import prefer_one_thread as prefer_one_thread
 from taciturn._process import remark as remark
 from taciturn._process import until_stopped as until_stopped
+from taciturn._progress import NoTimeLeft as NoTimeLeft
 from taciturn._progress import OutOfTime as OutOfTime
 from taciturn._progress import Progress as Progress
 from taciturn._progress import Stages as Stages

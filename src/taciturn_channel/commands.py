@@ -63,7 +63,7 @@ def channel(
     import taciturn
     from taciturn.extend import answered_within
     from taciturn.model.theory import LEVEL
-    from taciturn.study.workers import processes
+    from taciturn_studies.workers import processes
 
     with answered_within(time):
         problems = load_all(files, settings, no_functions)

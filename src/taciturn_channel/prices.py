@@ -35,10 +35,10 @@ from taciturn.model.theory import LEVEL
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.statistics import rate_of
-from taciturn.study.workers import answer_all, idle
 from taciturn_channel.classes import Kind
 from taciturn_channel.simulated import RULE_ERROR, Group, measure_freely
 from taciturn_limits.fitted import bound_rare_sends
+from taciturn_studies.workers import answer_all, idle
 
 if TYPE_CHECKING:
     from taciturn_limits.dual import SampledDual

@@ -28,7 +28,6 @@ from taciturn.extend import Array, Displayed, Progress, check_time
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
 from taciturn.simulation.statistics import mean
-from taciturn.study.workers import idle
 from taciturn_channel.classes import Allocation, Kind, LoopClass, allocate, allocate_slots
 from taciturn_channel.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
 from taciturn_channel.simulated import (
@@ -43,6 +42,7 @@ from taciturn_channel.simulated import (
     Stretch,
     TimeDivision,
 )
+from taciturn_studies.workers import idle
 
 INTERVALS = 24  # longest stretch, in the longest mean intervals between sends
 SHORTEST, LONGEST = 256, 16_384  # steps of the longest stretch, if the checks of all loops repeat within them

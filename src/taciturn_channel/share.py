@@ -38,10 +38,10 @@ from taciturn.problem import Problem
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.evaluation import Unit, cost_unit
-from taciturn.study.workers import idle
 from taciturn_channel.classes import allocate, gather
 from taciturn_channel.prices import DualBound
 from taciturn_channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game, measure
+from taciturn_studies.workers import idle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -65,7 +65,7 @@ def sweep(
     from taciturn.model.result import check_table, save_table
     from taciturn.problem.settings import parse_grid
     from taciturn.study.record import save_whole
-    from taciturn.study.workers import processes
+    from taciturn_studies.workers import processes
     from taciturn_sweep.cluster import dask_workers
     from taciturn_sweep.sweep import SweepTable
 

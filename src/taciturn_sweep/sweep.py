@@ -1,7 +1,7 @@
 """Sweeps: evaluations of a problem over a grid of its values, as labelled arrays.
 
 The cells of the grid are computed in blocks on many processors, and each result is kept in a store when it is finished,
-so that a sweep continues after a stop (``taciturn.study.points``). ``SweepTable`` is the result as rows, for pandas,
+so that a sweep continues after a stop (``taciturn_studies.points``). ``SweepTable`` is the result as rows, for pandas,
 CSV files and LaTeX.
 """
 
@@ -25,7 +25,8 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.points import (
+from taciturn.study.record import Store, digest, encode, origin
+from taciturn_studies.points import (
     LARGEST,
     Cell,
     Cells,
@@ -38,7 +39,6 @@ from taciturn.study.points import (
     path_of,
     run_cells,
 )
-from taciturn.study.record import Store, digest, encode, origin
 
 if TYPE_CHECKING:
     import pandas

@@ -10,7 +10,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.periodic import Clock, clock_of, sampling_clock
-from taciturn.study.points import Cell, Effort, evaluate_cells
+from taciturn_studies.points import Cell, Effort, evaluate_cells
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:

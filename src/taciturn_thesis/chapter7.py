@@ -18,7 +18,7 @@ from taciturn.model.plant import Plant
 from taciturn.problem import load
 from taciturn.simulation.average import average
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.points import Cell, Effort, evaluate_cells
+from taciturn_studies.points import Cell, Effort, evaluate_cells
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:

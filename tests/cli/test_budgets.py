@@ -154,7 +154,7 @@ def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str],
 @pytest.mark.evidence
 def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path) -> None:
     """A table of what was tried, then the best; the document has all of it."""
-    once("taciturn.study.tune.tune_period")
+    once("taciturn_studies.tune.tune_period")
     path = tmp_path / "walk.toml"
     path.write_text(
         "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n[cost]\nQ = [[1.0]]\nR = [[1.0]]\n"

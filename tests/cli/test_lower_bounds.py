@@ -12,7 +12,7 @@ from cli.conftest import COST, POLICY, Run, Write
 import taciturn
 from taciturn import ProblemError
 from taciturn.model.theory import LowerBound
-from taciturn.study.tradeoff import Point, Tradeoff
+from taciturn_studies.tradeoff import Point, Tradeoff
 
 EXCESS = '[policy]\nkind = "excess"\ntheta = 0.5\nactuation = "model"\n'
 OPTIMAL = '[policy]\nkind = "optimal"\nprice = 0.1\n'

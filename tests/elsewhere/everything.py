@@ -19,7 +19,7 @@ from taciturn.cli.frame import main
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
-from taciturn.study.workers import processes
+from taciturn_studies.workers import processes
 from taciturn_udp.endpoint import Endpoint
 from taciturn_udp.nodes import NodeServer
 from taciturn_udp.plant import PlantServer

@@ -41,8 +41,8 @@ from taciturn.model.signals import Exosystem, ExternalDisturbance, RandomSteps, 
 from taciturn.problem import parse
 from taciturn.simulation.average import plain_average
 from taciturn.study.describe import describe
-from taciturn.study.tune import tune_period
 from taciturn_channel.classes import gather
+from taciturn_studies.tune import tune_period
 
 TABLES: dict[str, Any] = {
     "plant": {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "W": [[0.01]], "V": [[0.01]]},

@@ -13,7 +13,7 @@ from study.test_tune import MASSES, with_policy
 
 import taciturn
 from taciturn import Problem, ProblemError, compare
-from taciturn.study.compare import _at_rate as at_rate
+from taciturn_studies.compare import _at_rate as at_rate
 
 FEW: dict[str, Problem] = {
     "hold": MASSES,

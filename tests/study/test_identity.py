@@ -18,8 +18,8 @@ import pytest
 
 import taciturn
 from taciturn import ProblemError, load, sweep
-from taciturn.study import workers
-from taciturn.study.workers import Code, answer_all, code_of, idle, own_code
+from taciturn_studies import workers
+from taciturn_studies.workers import Code, answer_all, code_of, idle, own_code
 from taciturn_sweep.cluster import dask_workers
 
 PACKAGE = Path(taciturn.__file__).parent
@@ -62,7 +62,7 @@ def test_a_worker_with_other_code_is_refused(
 ) -> None:
     """It computes nothing, and its cells are not stored under the key of this version."""
     computed: list[object] = []
-    monkeypatch.setattr("taciturn.study.points.evaluate", lambda *given, **_: computed.append(given))
+    monkeypatch.setattr("taciturn_studies.points.evaluate", lambda *given, **_: computed.append(given))
     with pytest.raises(ProblemError, match=says):
         sweep(MASSES, GRID, executor=Foreign(monkeypatch, code), store=tmp_path, steps=2000)
     with pytest.raises(ProblemError, match=says):
@@ -73,29 +73,31 @@ def test_a_worker_with_other_code_is_refused(
 
 def test_a_digest_covers_every_source(tmp_path: Path) -> None:
     """A changed, renamed or additional file changes it; the ends of lines do not."""
-    (tmp_path / "part").mkdir()
-    (tmp_path / "a.py").write_bytes(b"x = 1\ny = 2\n")
-    (tmp_path / "part" / "b.py").write_bytes(b"")
+    (tmp_path / "taciturn").mkdir()
+    (tmp_path / "taciturn_more" / "part").mkdir(parents=True)
+    (tmp_path / "taciturn" / "a.py").write_bytes(b"x = 1\ny = 2\n")
+    (tmp_path / "taciturn_more" / "part" / "b.py").write_bytes(b"")
     first = code_of(tmp_path, "1")
-    (tmp_path / "a.py").write_bytes(b"x = 1\r\ny = 2\r\n")
+    (tmp_path / "taciturn" / "a.py").write_bytes(b"x = 1\r\ny = 2\r\n")
     assert code_of(tmp_path, "1") == first
-    (tmp_path / "a.py").write_bytes(b"x = 1\ny = 3\n")
+    (tmp_path / "taciturn" / "a.py").write_bytes(b"x = 1\ny = 3\n")
     found = {first, code_of(tmp_path, "1")}
-    (tmp_path / "part" / "b.py").rename(tmp_path / "part" / "c.py")
+    (tmp_path / "taciturn_more" / "part" / "b.py").rename(tmp_path / "taciturn_more" / "part" / "c.py")
     found.add(code_of(tmp_path, "1"))
-    (tmp_path / "d.py").write_bytes(b"")
+    (tmp_path / "taciturn" / "d.py").write_bytes(b"")
     found |= {code_of(tmp_path, "1"), code_of(tmp_path, "2")}
     assert len(found) == 5
-    assert own_code() == code_of(PACKAGE, taciturn.__version__)
+    assert own_code() == code_of(PACKAGE.parent, taciturn.__version__)
 
 
 def package_of(folder: Path, version: str, reports: bool = True) -> dict[str, str]:
     """Return the environment of a process that imports a copy of the package with another version."""
-    shutil.copytree(PACKAGE, folder / "taciturn", ignore=shutil.ignore_patterns("__pycache__"))
+    for package in PACKAGE.parent.glob("taciturn*"):
+        shutil.copytree(package, folder / package.name, ignore=shutil.ignore_patterns("__pycache__"))
     (folder / "taciturn" / "_version.py").write_text(f'__version__ = "{version}"\n')
     if not reports:  # as a version before there were reports
         for name in ("points", "workers"):
-            (folder / "taciturn" / "study" / f"{name}.py").unlink()
+            (folder / "taciturn_studies" / f"{name}.py").unlink()
     return os.environ | {"PYTHONPATH": str(folder)}
 
 

@@ -14,10 +14,10 @@ import taciturn
 from taciturn import Estimate
 from taciturn._figure import Panel, Series, draw
 from taciturn._text import WIDTH, folded, table_text, wrapped_text
-from taciturn.study.compare import Comparison, Contestant
-from taciturn.study.compare import _at_rate as at_rate
-from taciturn.study.goal import RateGoal
-from taciturn.study.tune import Parameter, Tuned
+from taciturn_studies.compare import Comparison, Contestant
+from taciturn_studies.compare import _at_rate as at_rate
+from taciturn_studies.goal import RateGoal
+from taciturn_studies.tune import Parameter, Tuned
 
 PATH = "/home/somebody/experiments/with-event-triggered-control/of-two-masses/theta-0.123456"
 PLANT = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])

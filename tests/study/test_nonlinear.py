@@ -12,7 +12,7 @@ import pytest
 
 from taciturn import Plant, Problem, ProblemError, evaluate, load, sweep
 from taciturn.study.record import decode, encode, fingerprint
-from taciturn.study.workers import processes
+from taciturn_studies.workers import processes
 
 TEXT = "import numpy as np\n\nGAIN = 1.2\n\n\ndef step(x, u, w):\n    return GAIN * np.sin(x) + u + w\n"
 TABLES = """

@@ -8,7 +8,7 @@ import taciturn
 from taciturn import ProblemError
 from taciturn.lqg.prediction import prediction_cost
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.tune import TunedPeriod, tune_period
+from taciturn_studies.tune import TunedPeriod, tune_period
 
 INTEGRATOR = taciturn.load("wiener-double-integrator").changed({"kind": "consistent", "theta": None, "period": 1.0})
 

@@ -10,7 +10,7 @@ import pytest
 
 import taciturn
 from taciturn.study.describe import describe
-from taciturn.study.tune import tune_period
+from taciturn_studies.tune import tune_period
 from taciturn_udp.relay import Fate
 
 NAME: Any = "two-mass-lqg"

@@ -20,11 +20,11 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.problem import Problem
-from taciturn.study import search, shares
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.periodic_links import LinkClocks, clocks_of_links, clocks_or_reason
 from taciturn.study.record import fingerprint
-from taciturn.study.tune import Tuned
+from taciturn_studies import search, shares
+from taciturn_studies.periodic_links import LinkClocks, clocks_of_links, clocks_or_reason
+from taciturn_studies.tune import Tuned
 
 PRICES = {"level": 4.0, "valve": 1.0}
 EFFORT = 200_000

@@ -29,7 +29,7 @@ EFFORT = 3e-3
 
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Return the list of what is evaluated from now on."""
-    from taciturn.study import points
+    from taciturn_studies import points
 
     seen: list[object] = []
     real = points.evaluate
@@ -95,7 +95,7 @@ def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.Lo
 def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the old one kept stays."""
     swept(tmp_path)
-    monkeypatch.setattr("taciturn.study.points.__version__", "0.0.9")
+    monkeypatch.setattr("taciturn_studies.points.__version__", "0.0.9")
     seen = computed(monkeypatch)
     with pytest.warns(UserWarning, match=r"was filled by another version .*, now 0\.0\.9"):
         swept(tmp_path)
@@ -331,7 +331,7 @@ def test_an_interrupt_within_a_submission_ends_the_pool() -> None:
     """Work that is noted and not queued yet is not waited for."""
     text = (
         "from unittest.mock import patch\n"
-        "from taciturn.study.workers import processes\n"
+        "from taciturn_studies.workers import processes\n"
         "if __name__ == '__main__':\n"
         "    with processes(2) as pool, patch.object(pool._work_ids, 'put', side_effect=KeyboardInterrupt):\n"
         "        pool.submit(abs, 1)\n"

@@ -16,11 +16,11 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.problem.parameters import check_parameters
-from taciturn.study import search
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.goal import CostGoal, RateGoal, budget_of
-from taciturn.study.search import Search
-from taciturn.study.tune import Parameter, Tuned
+from taciturn_studies import search
+from taciturn_studies.goal import CostGoal, RateGoal, budget_of
+from taciturn_studies.search import Search
+from taciturn_studies.tune import Parameter, Tuned
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from taciturn import ProblemError, load, sweep
-from taciturn.study import points
-from taciturn.study.workers import deserted
+from taciturn_studies import points
+from taciturn_studies.workers import deserted
 from taciturn_sweep.cluster import dask_workers
 
 

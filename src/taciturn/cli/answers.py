@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -14,7 +13,6 @@ from taciturn.cli.frame import (
     File,
     GivenSeed,
     Json,
-    Link,
     NoFunctions,
     Plot,
     Seed,
@@ -175,102 +173,3 @@ def simulate(
         if not as_json:
             typer.echo(f"table: {table}")
     save_picture(found, plot, as_json, problem, seed, "simulation")
-
-
-@app.command(epilog=EXAMPLE + "taciturn tune two-mass --rate 0.3")
-def tune(
-    file: File,
-    settings: Settings = None,
-    no_functions: NoFunctions = False,
-    rate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[LINK=]X|P%",
-            help="Largest rate: sends per step or second (0.5), or percent of all samples (50%); of one link or each.",
-        ),
-    ] = None,
-    traffic: Annotated[
-        str | None,
-        typer.Option(metavar="X|P%", help="Largest sum of all rates, each times the price of a packet on its link."),
-    ] = None,
-    cost: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above the cost of sending every sample."
-        ),
-    ] = None,
-    violation: Annotated[
-        float | None,
-        typer.Option(help="Largest share of the steps that violate the limits of the states, such as 1e-3."),
-    ] = None,
-    link: Link = None,
-    least_period: Annotated[
-        float | None, typer.Option(help="Also tune the sampling period, down to this many seconds.")
-    ] = None,
-    as_json: Json = False,
-    seed: GivenSeed = None,
-    standard_error: StandardError = None,
-    time: TimeLimit = None,
-) -> None:
-    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violation of limits."""
-    import taciturn
-    from taciturn._progress import answered_within
-    from taciturn.study.tune import TunedPeriod, tune_period
-
-    allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
-    with answered_within(time):
-        problem, on = load_changed(file, settings, no_functions), cast("Any", link)
-        with progress_bar("searching") as progress:
-            if least_period is None:
-                found = taciturn.tune(
-                    problem,
-                    rate=allowed,
-                    cost=spent,
-                    traffic=paid,
-                    violation=violation,
-                    link=on,
-                    seed=seed or 0,
-                    standard_error=standard_error,
-                    progress=progress,
-                )
-            else:
-                if not isinstance(allowed, float) or (spent, paid, violation) != (None, None, None):
-                    raise taciturn.ProblemError(
-                        "--least-period is given without a number for --rate, or with another budget; expected --rate "
-                        "with a number, and no --cost, --traffic or --violation"
-                    )
-                found = tune_period(
-                    problem,
-                    rate=allowed,
-                    least=least_period,
-                    link=on,
-                    seed=seed or 0,
-                    standard_error=standard_error,
-                    progress=progress,
-                )
-    best = found.best if isinstance(found, TunedPeriod) else found
-    print_result(found, as_json, best.problem, unused=None if best.evaluation.drawn else seed)
-    if not best.evaluation.reached:
-        refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
-
-
-def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] | None:
-    """Return the budget of --rate, or the budgets by link."""
-    from taciturn.errors import ProblemError
-    from taciturn.study.goal import parse_budget
-
-    if not texts:
-        return None
-    pairs = [text.rpartition("=") for text in texts]
-    if len(pairs) == 1 and not pairs[0][0]:
-        return parse_budget("rate", texts[0])
-    if not all(link for link, _, _ in pairs) or len({link for link, _, _ in pairs}) < len(pairs):
-        raise ProblemError(f"--rate is {' and '.join(texts)}; expected one LINK=RATE for each link")
-    return {link: parse_budget("rate", text) for link, _, text in pairs}
-
-
-def _budget(name: str, text: str | None) -> float | str | None:
-    """Return the budget of --cost or --traffic."""
-    from taciturn.study.goal import parse_budget
-
-    return None if text is None else parse_budget(name, text)

@@ -18,11 +18,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from taciturn._arrays import number
-from taciturn._display import Displayed
-from taciturn._text import per_unit
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
+from taciturn.extend import Displayed, number, per_unit
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import nodes_of

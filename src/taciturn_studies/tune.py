@@ -17,11 +17,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
-from taciturn._arrays import number
-from taciturn._progress import Progress, Stages, answered_within, in_notebook
-from taciturn._text import pairs_text, percent
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
+from taciturn.extend import Progress, Stages, answered_within, in_notebook, number, pairs_text, percent
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
@@ -32,11 +30,11 @@ from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluate import evaluate, with_violations, with_written
 from taciturn.study.evaluation import Evaluation, shares_text
-from taciturn.study.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
 from taciturn.study.measure import Request
 from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
-from taciturn.study.search import Search
-from taciturn.study.shares import Division
+from taciturn_studies.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
+from taciturn_studies.search import Search
+from taciturn_studies.shares import Division
 
 DIVIDED = 0.7  # share of the progress in which the shares are tuned
 FASTER = 2.0  # from one period to the next

@@ -20,11 +20,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from taciturn._arrays import instance, number
-from taciturn._figure import Panel, Series, Size, draw
-from taciturn._progress import Progress, Stages, answered_within, in_notebook
-from taciturn._text import per_unit, percent, wrapped_text
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.extend import (
+    Panel,
+    Progress,
+    Series,
+    Size,
+    Stages,
+    answered_within,
+    draw,
+    in_notebook,
+    instance,
+    number,
+    per_unit,
+    percent,
+    wrapped_text,
+)
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
@@ -44,8 +55,8 @@ from taciturn.study.evaluation import (
     rate_unit,
     shares_text,
 )
-from taciturn.study.periodic_links import LinkClocks, clocks_document, clocks_or_reason
-from taciturn.study.tune import Tuned, tune
+from taciturn_studies.periodic_links import LinkClocks, clocks_document, clocks_or_reason
+from taciturn_studies.tune import Tuned, tune
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

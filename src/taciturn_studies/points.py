@@ -14,17 +14,25 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol, TypeAlias, cast
 
-from taciturn._arrays import expect_unmasked, instance, number, quoted
-from taciturn._display import Displayed
-from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
-from taciturn._version import __version__
+from taciturn import __version__
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.extend import (
+    Displayed,
+    NoTimeLeft,
+    Progress,
+    check_time,
+    expect_unmasked,
+    instance,
+    number,
+    quoted,
+    seconds_left,
+)
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
 from taciturn.study.evaluate import choose_confidence, evaluate, expect_bound
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import Store, digest, encode, fingerprint
-from taciturn.study.workers import Report, accepted, asked, deserted, refuse_other_versions, workers_of
+from taciturn_studies.workers import Report, accepted, asked, deserted, refuse_other_versions, workers_of
 
 FORMAT = 2  # of a stored answer; files of another format are not used
 BLOCK = 1.0  # seconds that a task should take: a thousand times the overhead of a task

@@ -26,11 +26,18 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar, cast
 
-from taciturn import _version
-from taciturn._display import Displayed
-from taciturn._process import at_once, deferred, prefer_one_thread
-from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
+import taciturn
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.extend import (
+    Displayed,
+    NoTimeLeft,
+    Progress,
+    at_once,
+    check_time,
+    deferred,
+    prefer_one_thread,
+    seconds_left,
+)
 from taciturn.program.machine import available_processors, one_thread
 
 Answer = TypeVar("Answer")
@@ -143,13 +150,13 @@ def accepted(report: Report[Answer]) -> Answer:
 @cache
 def own_code() -> Code:
     """Return version and digest of the code of this process, which is read once."""
-    return code_of(Path(_version.__file__).parent, _version.__version__)
+    return code_of(Path(taciturn.__file__).parent.parent, taciturn.__version__)
 
 
 def code_of(folder: Path, version: str) -> Code:
-    """Return the version of a package and a digest of the names and texts of all its Python files."""
+    """Return a version and a digest of the names and texts of all Python files of the packages in a folder."""
     read = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py"), key=lambda path: path.relative_to(folder).as_posix()):
+    for path in sorted(folder.glob("taciturn*/**/*.py"), key=lambda path: path.relative_to(folder).as_posix()):
         text = path.read_bytes().replace(b"\r\n", b"\n")  # as a checkout on Windows may have
         read.update(f"{path.relative_to(folder).as_posix()}\n{len(text)}\n".encode() + text)
     return Code(version, read.hexdigest())

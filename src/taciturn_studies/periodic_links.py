@@ -14,9 +14,8 @@ from functools import cached_property
 from itertools import permutations
 from typing import Any, ClassVar
 
-from taciturn._progress import Progress, Stages
-from taciturn._text import percent
 from taciturn.errors import UnstableError
+from taciturn.extend import Progress, Stages, percent
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import MultirateControl, Timing
 from taciturn.model.plant import ContinuousPlant

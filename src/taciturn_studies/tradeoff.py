@@ -17,10 +17,20 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from taciturn._figure import HEIGHT, Panel, Series, Size, draw
-from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import per_unit, percent, wrapped_text
 from taciturn.errors import ProblemError
+from taciturn.extend import (
+    HEIGHT,
+    Panel,
+    Progress,
+    Series,
+    Size,
+    answered_within,
+    draw,
+    in_notebook,
+    per_unit,
+    percent,
+    wrapped_text,
+)
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import SPLICED, Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
@@ -35,8 +45,8 @@ from taciturn.study.evaluation import (
     rate_unit,
 )
 from taciturn.study.periodic import ClockKind, ClockPoint, clock_of
-from taciturn.study.points import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
 from taciturn.study.record import Store
+from taciturn_studies.points import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -24,20 +24,17 @@ from typing import Never
 
 import numpy as np
 
-from taciturn import _scipy
-from taciturn._display import Displayed
-from taciturn._progress import Progress, Stages
-from taciturn._text import per_unit
 from taciturn.analyse.renewal import decides_alone, expect_affordable
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
+from taciturn.extend import Displayed, Progress, Stages, crossing, per_unit
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.study.evaluate import evaluate, with_violations
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.goal import EXACT, Goal, ViolationGoal
 from taciturn.study.measure import Request
+from taciturn_studies.goal import EXACT, Goal, ViolationGoal
 
 ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
 AT_THE_END = 1e-3  # share of the range of all results within which a result counts as an end of this range
@@ -200,7 +197,7 @@ class Search:
         if above(places[0]) * above(places[1]) > 0:  # at the limit of the range, rounding decides the side
             nearest = min(ends, key=lambda look: abs(look.above))
             return nearest, nearest
-        _scipy.crossing(above, *places, JUMP)
+        crossing(above, *places, JUMP)
         return ends[0], ends[1]
 
     def _start(self) -> Look:

@@ -20,15 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array
-from taciturn._display import Displayed
-from taciturn._progress import Progress, Stages
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import TaciturnError
+from taciturn.extend import Array, Displayed, Progress, Stages
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.goal import Goal, RatesGoal
-from taciturn.study.search import LONGER, Search, out_of_reach, settled
+from taciturn_studies.goal import Goal, RatesGoal
+from taciturn_studies.search import LONGER, Search, out_of_reach, settled
 
 EFFORT = 400_000  # steps of a trial; all trials use the same draws
 FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of a share

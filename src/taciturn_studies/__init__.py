@@ -1,0 +1,10 @@
+"""Studies that evaluate a problem many times: trade-offs, tuning, comparisons.
+
+1. ``tradeoff``: cost against rate over a grid of parameters.
+2. ``tune``, with ``goal`` (budgets), ``search`` (one parameter) and ``shares`` (of several links).
+3. ``compare``: several policies at the same rate or traffic, with ``periodic_links``, the exact cost of periodic
+   control over several links.
+4. ``points``: the evaluations of a grid, with a store of results. ``workers``: the processes and clusters that compute
+   them.
+5. ``commands``: the commands ``tradeoff``, ``compare`` and ``tune``.
+"""

@@ -1,0 +1,226 @@
+"""Commands that evaluate a problem many times: ``tradeoff``, ``compare`` and ``tune``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from taciturn.cli.frame import (
+    EXAMPLE,
+    Confidence,
+    File,
+    GivenSeed,
+    Json,
+    Link,
+    NoFunctions,
+    Over,
+    Plot,
+    Settings,
+    StandardError,
+    TimeLimit,
+    Workers,
+    app,
+    complete_file,
+    load_all,
+    load_changed,
+    print_result,
+    progress_bar,
+    refuse,
+    save_picture,
+)
+
+
+@app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
+def tradeoff(
+    file: File,
+    over: Over,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: GivenSeed = None,
+    standard_error: StandardError = None,
+    confidence: Confidence = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results, so that an interrupted run can continue."),
+    ] = None,
+    workers: Workers = 1,
+    time: TimeLimit = None,
+) -> None:
+    """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
+    import taciturn
+    from taciturn.extend import answered_within
+    from taciturn.problem.settings import parse_grid
+    from taciturn.study.evaluate import choose_confidence
+    from taciturn_studies.workers import processes
+
+    values = parse_grid(over)
+    with answered_within(time):
+        problem = load_changed(file, settings, no_functions)
+        with progress_bar("computing") as progress, processes(workers) as executor:
+            found = taciturn.tradeoff(
+                problem,
+                values,
+                seed=seed or 0,
+                standard_error=standard_error,
+                confidence=choose_confidence(problem, confidence),
+                executor=executor,
+                store=store,
+                progress=progress,
+            )
+    drawn = any(point.evaluation.drawn for point in found.points)
+    print_result(found, as_json, problem, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, as_json, problem, seed or 0, found.method)
+    missed = [point for point in found.points if not point.evaluation.reached]
+    if missed:
+        values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
+        refuse(
+            f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
+            f"first at {values_text}; give a larger --standard-error"
+        )
+
+
+@app.command(epilog=EXAMPLE + "taciturn compare two-mass two-mass-lqg --rate 0.3")
+def compare(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE FILE…", help="Problem files that differ in their policies.", autocompletion=complete_file
+        ),
+    ],
+    rate: Annotated[float | None, typer.Option(help="Common rate: sends per step or per second.")] = None,
+    traffic: Annotated[
+        float | None,
+        typer.Option(help="Instead, the common sum of all rates, each times the price of a packet on its link."),
+    ] = None,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    link: Link = None,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: GivenSeed = None,
+    standard_error: Annotated[
+        float | None, typer.Option(help="Standard error of each cost. Default: 3e-4 of the cost of periodic LQG.")
+    ] = None,
+    time: TimeLimit = None,
+) -> None:
+    """Rank several policies at the same rate, with the standard errors of their differences."""
+    import taciturn
+    from taciturn.extend import answered_within
+
+    with answered_within(time):
+        problems = load_all(files, settings, no_functions)
+        with progress_bar("comparing") as progress:
+            found = taciturn.compare(
+                problems, rate, traffic=traffic, link=cast("Any", link), seed=seed or 0, standard_error=standard_error,
+                progress=progress,
+            )  # fmt: skip
+    drawn = any(one.tuned.evaluation.drawn for one in found.ranking)
+    print_result(found, as_json, problems, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, as_json, problems, seed or 0, found.method)
+    missed = [one.name for one in found.ranking if not one.reached]
+    if missed:
+        refuse(f"rate or standard error were not reached by {', '.join(missed)}; give a larger --standard-error")
+
+
+@app.command(epilog=EXAMPLE + "taciturn tune two-mass --rate 0.3")
+def tune(
+    file: File,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    rate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[LINK=]X|P%",
+            help="Largest rate: sends per step or second (0.5), or percent of all samples (50%); of one link or each.",
+        ),
+    ] = None,
+    traffic: Annotated[
+        str | None,
+        typer.Option(metavar="X|P%", help="Largest sum of all rates, each times the price of a packet on its link."),
+    ] = None,
+    cost: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above the cost of sending every sample."
+        ),
+    ] = None,
+    violation: Annotated[
+        float | None,
+        typer.Option(help="Largest share of the steps that violate the limits of the states, such as 1e-3."),
+    ] = None,
+    link: Link = None,
+    least_period: Annotated[
+        float | None, typer.Option(help="Also tune the sampling period, down to this many seconds.")
+    ] = None,
+    as_json: Json = False,
+    seed: GivenSeed = None,
+    standard_error: StandardError = None,
+    time: TimeLimit = None,
+) -> None:
+    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violation of limits."""
+    import taciturn
+    from taciturn.extend import answered_within
+    from taciturn_studies.tune import TunedPeriod, tune_period
+
+    allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
+    with answered_within(time):
+        problem, on = load_changed(file, settings, no_functions), cast("Any", link)
+        with progress_bar("searching") as progress:
+            if least_period is None:
+                found = taciturn.tune(
+                    problem,
+                    rate=allowed,
+                    cost=spent,
+                    traffic=paid,
+                    violation=violation,
+                    link=on,
+                    seed=seed or 0,
+                    standard_error=standard_error,
+                    progress=progress,
+                )
+            else:
+                if not isinstance(allowed, float) or (spent, paid, violation) != (None, None, None):
+                    raise taciturn.ProblemError(
+                        "--least-period is given without a number for --rate, or with another budget; expected --rate "
+                        "with a number, and no --cost, --traffic or --violation"
+                    )
+                found = tune_period(
+                    problem,
+                    rate=allowed,
+                    least=least_period,
+                    link=on,
+                    seed=seed or 0,
+                    standard_error=standard_error,
+                    progress=progress,
+                )
+    best = found.best if isinstance(found, TunedPeriod) else found
+    print_result(found, as_json, best.problem, unused=None if best.evaluation.drawn else seed)
+    if not best.evaluation.reached:
+        refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
+
+
+def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] | None:
+    """Return the budget of --rate, or the budgets by link."""
+    from taciturn.errors import ProblemError
+    from taciturn_studies.goal import parse_budget
+
+    if not texts:
+        return None
+    pairs = [text.rpartition("=") for text in texts]
+    if len(pairs) == 1 and not pairs[0][0]:
+        return parse_budget("rate", texts[0])
+    if not all(link for link, _, _ in pairs) or len({link for link, _, _ in pairs}) < len(pairs):
+        raise ProblemError(f"--rate is {' and '.join(texts)}; expected one LINK=RATE for each link")
+    return {link: parse_budget("rate", text) for link, _, text in pairs}
+
+
+def _budget(name: str, text: str | None) -> float | str | None:
+    """Return the budget of --cost or --traffic."""
+    from taciturn_studies.goal import parse_budget
+
+    return None if text is None else parse_budget(name, text)
