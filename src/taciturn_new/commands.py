@@ -1,12 +1,12 @@
 """The command ``new``, which writes a problem file from prompts or from matrices in a file.
 
 Prompts are on a terminal, or answers come from a pipe. Each answer is stored in a ``Draft`` of the problem, which
-checks it against the earlier ones, before the next question. On a terminal, a wrong answer is told and asked again;
+checks it against the earlier ones, before the next question. On a terminal, a wrong answer is printed and asked again;
 from a pipe it is an error, since the answers after it would be read for other questions. The end of the input is an
 error in both cases. With ``--yes`` every question has its default.
 
 The order of the questions is the order in which a problem is understood: time, plant, measurement, noise, cost,
-network, goal, and what the policy of this goal needs. What a file given by ``--from`` contains is not asked.
+network, goal, and what the policy of this goal needs. The values in a file given by ``--from`` are not asked.
 
 Modules that need numpy are imported where they are used, because ``taciturn --help`` imports this one.
 """

@@ -40,7 +40,7 @@ class Foreign(Executor):
         with self._patch.context() as patch:
             if self._code is None:
                 patch.setattr("taciturn._version.__version__", "0.9.0")
-                if fn.__module__.startswith("taciturn."):
+                if fn.__module__.startswith("taciturn"):
                     future.set_exception(ModuleNotFoundError(f"No module named {fn.__module__!r}"))
                     return future
             else:

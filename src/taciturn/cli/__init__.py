@@ -6,8 +6,8 @@ or with ``--json`` one document that contains version, seed, method and the prob
 
 ``frame`` contains the application, the options that several commands share, and ``main``. ``main`` turns each error of
 the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
-``answers`` contains the commands for one problem, and ``studies`` those for several. Other packages add commands by
-entry points of the group ``taciturn.commands``.
+``answers`` contains the commands ``evaluate``, ``show`` and ``simulate``. Other packages add commands by entry points of
+the group ``taciturn.commands``.
 
 Commands import large modules only when they run, so that ``--help`` and the shell's completion are fast.
 """
@@ -15,9 +15,9 @@ Commands import large modules only when they run, so that ``--help`` and the she
 from taciturn._process import ends_on_signals
 
 with ends_on_signals():  # these imports take most of the time of a short command
-    from taciturn.cli import answers, studies
+    from taciturn.cli import answers
     from taciturn.cli.frame import add_commands, app, main
 
     add_commands()
 
-__all__ = ["answers", "app", "main", "studies"]
+__all__ = ["answers", "app", "main"]

@@ -1,8 +1,8 @@
 """Plants from systems of python-control and scipy.
 
 Both libraries have state-space objects with A, B, C, D and dt, or objects that convert to them. They differ in dt:
-None is continuous time in scipy and unspecified in python-control, and True is discrete time without seconds. What
-changes the meaning of A and B is not lost: a descriptor matrix E is passed on or refused, and delays are refused.
+None is continuous time in scipy and unspecified in python-control, and True is discrete time without seconds. A
+descriptor matrix E, which changes the meaning of A and B, is passed on or refused, and delays are refused.
 """
 
 from __future__ import annotations
