@@ -6,7 +6,7 @@ from a pipe it is an error, since the answers after it would be read for other q
 error in both cases. With ``--yes`` every question has its default.
 
 The order of the questions is the order in which a problem is understood: time, plant, measurement, noise, cost,
-network, goal, and what the policy of this goal needs. The values in a file given by ``--from`` are not asked.
+network, goal, and what the policy of this goal needs. No question follows for values in a file of ``--from``.
 
 Modules that need numpy are imported where they are used, because ``taciturn --help`` imports this one.
 """

@@ -6,8 +6,8 @@ or with ``--json`` one document that contains version, seed, method and the prob
 
 ``frame`` contains the application, the options that several commands share, and ``main``. ``main`` turns each error of
 the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
-``answers`` contains the commands ``evaluate``, ``show`` and ``simulate``. Other packages add commands by entry points of
-the group ``taciturn.commands``.
+``answers`` contains the commands ``evaluate``, ``show`` and ``simulate``. Other packages add commands by entry points
+of the group ``taciturn.commands``.
 
 Commands import large modules only when they run, so that ``--help`` and the shell's completion are fast.
 """
