@@ -18,7 +18,7 @@ import numpy as np
 import taciturn
 from taciturn import PID, ContinuousPlant, Network, Problem, TaciturnError
 from taciturn._files import write_whole
-from taciturn.base.given_controller import cost_as_kept, disturbed
+from taciturn.base.given_controller import cost_as_now, disturbed
 
 MORE = 0.05
 ACCURACY = 5e-4  # standard error relative to the cost
@@ -69,7 +69,7 @@ RULES: dict[str, dict[str, Any]] = {
 def problem_of(case: str) -> Problem:
     """Return the problem of a case, with weights for which the loop's present variances count equally."""
     plant, pid, period = CASES[case]()
-    cost = cost_as_kept(plant, pid, period)
+    cost = cost_as_now(plant, pid, period)
     return Problem(plant, cost, Network(), "excess", {"theta": 0.1, "period": period}, controller=pid)
 
 

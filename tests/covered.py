@@ -27,8 +27,8 @@ from taciturn.model.steps import Assign, Decide, Send
 from taciturn.model.trigger import Trigger
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
-from taciturn.program.lower import LOWERED
-from taciturn.program.node import lower_node
+from taciturn.program.node import translate_node
+from taciturn.program.translation import LOWERED
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import average
 from taciturn_channel.classes import CHANNELS
@@ -144,7 +144,7 @@ OTHERS: Mapping[str, Callable[[Case], object]] = {
     "bounds": lambda case: resets(case.loop(claimed=True)),
     "certificates": lambda case: switched(case.loop()),
     "channel": lambda case: CHANNELS.check(case.loop(claimed=True).parts),
-    "node": lambda case: lower_node(policy_of(case), frozenset({"controller", "sensor"}), case.network),
+    "node": lambda case: translate_node(policy_of(case), frozenset({"controller", "sensor"}), case.network),
     "nodes": lambda case: Nodes(policy_of(case), case.network),
     "diagram": lambda case: policy_of(case).diagram(),
     "C": lambda case: print_folder(case.loop(), "device", rows=3),

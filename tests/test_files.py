@@ -43,7 +43,7 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "live.py": "a picture of a process that it started",
     "logs.py": "logs of processes that it started, and logs, which it writes",
     "namespaces.py": "/proc",
-    "bare.py": "a problem of the process that started this one",
+    "without_file.py": "a problem of the process that started this one",
     "rover.py": "models of this package",
     "server.py": "pages of this package",
     "workers.py": "Python files of this package",

@@ -48,10 +48,10 @@ from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
-from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state
 from taciturn.program.ops import Name, Precision, Sent, named
 from taciturn.program.signals import TIMETABLE, add_changes, add_jumps, draw_noise
 from taciturn.program.tracing import trace
+from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state
 
 
 def check_plants(problem: Discrete, policy: Policy) -> None:

@@ -18,7 +18,7 @@ from taciturn.model.estimate import rounded
 from taciturn.model.result import Field, Tabular, plain_fields, seconds
 from taciturn.model.theory import ErrorGain
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.program.draws import GENERATOR
 from taciturn.study.evaluation import TimeUnit, time_unit
 from taciturn_certify.certificates import NoCertificateError, bound_cost, bound_state, find_decay, find_gain

@@ -33,7 +33,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
 from taciturn.problem import Problem
-from taciturn.problem.bare import as_problem
+from taciturn.problem.without_file import as_problem
 from taciturn.study.evaluation import Unit, cost_unit, rate_unit
 from taciturn_channel.simulated import Places
 from taciturn_limits.fitted import decayed

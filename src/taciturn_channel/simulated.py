@@ -23,7 +23,7 @@ from taciturn.model.trigger import Form
 from taciturn.program.draws import NORMAL, seed_generators, with_draws
 from taciturn.program.engine import StepwiseRunner, prepare
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep
+from taciturn.program.translation import TimeStep
 
 Places: TypeAlias = npt.NDArray[np.int64]
 ARRIVALS = float(np.exp(-1))  # new packets per slot at the largest throughput of random access

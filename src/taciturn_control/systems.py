@@ -26,7 +26,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.state_space import plant_from
 from taciturn.nodes.node import Values
 from taciturn.nodes.together import Nodes, StepFunction
-from taciturn.program.all_nodes import lower_policy
+from taciturn.program.all_nodes import translate_policy
 from taciturn.program.ops import Entry, Sent
 
 _NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
@@ -102,7 +102,7 @@ def to_control(
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
-        turns = StepFunction(lower_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
+        turns = StepFunction(translate_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
         return _system(turns, taken, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     thing = thing.in_units
     plant, links = thing.problem.plant, thing.policy.scheduled

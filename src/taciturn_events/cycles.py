@@ -30,9 +30,9 @@ from taciturn.model.plant import JumpNoise
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep
 from taciturn.program.ops import State
 from taciturn.program.signals import add_jumps
+from taciturn.program.translation import TimeStep
 from taciturn_events.events import (
     CLOSING,
     COST,

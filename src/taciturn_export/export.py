@@ -19,7 +19,7 @@ from pathlib import Path
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.extend import Progress, choice, count
 from taciturn.loop import Loop
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
 from taciturn_export.fmu import Fmu, Version, check_name, print_fmu

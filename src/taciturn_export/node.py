@@ -38,7 +38,7 @@ from taciturn.model.wire import (
 from taciturn.program.c import CONSTANTS, REAL, ROOT, c_literal, constant_array, print_c, print_root
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, lower_node
+from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Precision
 
 FORMAT = 3  # version of the data, TAC_FORMAT of the core
@@ -256,7 +256,7 @@ def print_node(
 ) -> CNode:
     """Return a node of a policy as C99, to be compiled with the common core sources."""
     EXPORTED.check(policy.parts, policy.designed_for, network)
-    program = lower_node(policy, place_of(policy, role), network, precision)
+    program = translate_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
     _check_size(policy, network, program, layout)
     parts = ("first", "second")[: len(program.parts)]

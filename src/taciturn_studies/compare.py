@@ -43,7 +43,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.result import Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.evaluation import (
     Evaluation,

@@ -34,7 +34,7 @@ from taciturn.extend import (
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import SPLICED, Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluation import (
     Evaluation,

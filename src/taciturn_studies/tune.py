@@ -26,7 +26,7 @@ from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.result import SPLICED, Field, Result, Tabular
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluate import evaluate, with_violations, with_written
 from taciturn.study.evaluation import Evaluation, shares_text

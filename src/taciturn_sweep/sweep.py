@@ -22,7 +22,7 @@ from taciturn.extend import Progress, answered_within, in_notebook, wrapped_text
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import Columns, Field, Tabular
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import Store, digest, encode, origin

@@ -27,8 +27,8 @@ from taciturn.nodes.keys import Keys, read_keys
 from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem, load
-from taciturn.problem.bare import PASSED, as_problem, pass_problem
 from taciturn.problem.settings import parse_settings
+from taciturn.problem.without_file import PASSED, as_problem, pass_problem
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.study.evaluation import cost_unit

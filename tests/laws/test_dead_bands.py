@@ -16,7 +16,7 @@ from measured import average, times
 import taciturn
 from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Plant, ProblemError, close, design
 from taciturn.base.certainty import CertaintyEquivalentDesign, design_certainty
-from taciturn.design.dead_bands import Filtered
+from taciturn.design.dead_bands import FilteredSteps
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.gain import largest_gain
@@ -123,14 +123,14 @@ def test_no_path_costs_more_than_its_certificate(seed: int, size: float, kept: b
     bands = size * np.array([*shares.values()])
     network = Network(nodes=NODES)
     certainty = lqg_of(plant, cost)
-    controller = Filtered(plant, certainty.filter.gain, 0.95 * certainty.regulator.L).controller
+    controller = FilteredSteps(plant, certainty.filter.gain, 0.95 * certainty.regulator.L).controller
     if kept:
         policy = design.send_on_delta(plant, cost, delta=size, controller=controller, network=network, shares=shares)
     else:
         policy = design.send_on_delta(plant, cost, delta=size, network=network, shares=shares)
         noisy = Plant(A, plant.B, plant.W, plant.C, plant.V + np.diag(np.square(bands[:2])) / 3)
         gain = lqg_of(noisy, cost).filter.gain
-        controller = Filtered(plant, gain, certainty.regulator.L).controller
+        controller = FilteredSteps(plant, gain, certainty.regulator.L).controller
     found, base, squares, rates = Simulation(plant, cost, controller, bands, 2).run(40, 800 * times(), seed)
     assert (found <= bound_of(base, policy, squares) * (1 + 1e-9)).all()
     assert policy.guarantee is not None
@@ -158,7 +158,7 @@ def test_no_path_with_levels_costs_more_than_its_certificate(seed: int, size: fl
     plant = Plant(A, draws.standard_normal((2, 1)), np.diag([0.1, 0.2]), draws.standard_normal((1, 2)), [[0.1]])
     cost = Cost(weights[:2, :2], weights[2:, 2:], weights[:2, 2:])
     certainty = lqg_of(plant, cost)
-    controller = Filtered(plant, certainty.filter.gain, certainty.regulator.L).controller
+    controller = FilteredSteps(plant, certainty.filter.gain, certainty.regulator.L).controller
     policy = design.symmetric_send_on_delta(plant, cost, delta=size, controller=controller)
     found, base, squares, rates = Levels(plant, cost, controller, np.array([size, 0.0]), 1).run(40, 800 * times(), seed)
     assert (found <= bound_of(base, policy, squares[:1]) * (1 + 1e-9)).all()

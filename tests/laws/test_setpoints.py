@@ -13,7 +13,7 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Cost, Network, Plant, ProblemError, design
-from taciturn.base.given_controller import cost_as_kept
+from taciturn.base.given_controller import cost_as_now
 from taciturn.program.numpy import run
 from taciturn.program.ops import Entry
 from taciturn.simulation.average import average
@@ -125,7 +125,7 @@ def test_a_command_beyond_a_limit_is_sent_at_every_sample() -> None:
     )  # fmt: skip
     slow = taciturn.Disturbance(1000.0, 0.05)
     pid = PID(0.18, 0.0011, 1.0, 3.0, slow, setpoint=10.0, b=0.6, tracking_time=20.0)
-    cost = cost_as_kept(plant, pid, 2.0)
+    cost = cost_as_now(plant, pid, 2.0)
     policy = design.excess(plant, cost, theta=0.3, controller=pid, link="sensor", period=2.0)
     path = taciturn.simulate(taciturn.close(plant, policy), 3000, seed=3)
     assert abs(path.state[500:, 2] - 10.0).max() < 1.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from taciturn import UnstableError
-from taciturn.lqg.cache import MOST_OF_ARRAYS as MOST
+from taciturn.lqg.cache import MOST
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 

@@ -9,7 +9,7 @@ import pytest
 
 import taciturn
 from taciturn import PID, Cost, Disturbance, Plant, ProblemError, design
-from taciturn.base.given_controller import cost_as_kept
+from taciturn.base.given_controller import cost_as_now
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.evaluation import sends_every_sample
 
@@ -45,7 +45,7 @@ def read(tmp_path: Path, cost: str) -> taciturn.Problem:
 
 def test_the_present_loop_weighs_its_variances_equally() -> None:
     """Every output and every input costs 1 on average, with every sample; as in a simulation."""
-    cost = cost_as_kept(TANK, KEPT)
+    cost = cost_as_now(TANK, KEPT)
     policy = design.excess(TANK, cost, theta=0.1, controller=KEPT)
     assert policy.cost_all_time == pytest.approx(2.0, rel=1e-9)
     always = taciturn.close(TANK, sends_every_sample(policy))
@@ -61,8 +61,8 @@ def test_several_outputs_and_inputs_count_equally() -> None:
         [[-0.1, 0.05], [0.0, -0.2]], np.eye(2), 0.01 * np.eye(2), C=np.eye(2), V=0.01 * np.eye(2)
     )
     loops = taciturn.controller_from([PID(1.0), PID(0.5, input=2, output=2)])
-    cost = cost_as_kept(plant, loops, 0.1)
-    sampled = cost_as_kept(design.excess(plant, cost, theta=1, period=0.1, controller=loops).model, loops)
+    cost = cost_as_now(plant, loops, 0.1)
+    sampled = cost_as_now(design.excess(plant, cost, theta=1, period=0.1, controller=loops).model, loops)
     assert pytest.approx(cost.Q, rel=1e-9) == sampled.Q
     assert pytest.approx(cost.R, rel=1e-9) == sampled.R
 

@@ -12,9 +12,9 @@ from taciturn import ProblemError
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import run
+from taciturn.program.translation import TimeStep
 
 
 def exponential(precision: Literal["float64", "float32"]) -> Program:

@@ -12,9 +12,9 @@ from taciturn.lqg.prediction import prediction_cost
 from taciturn.model.plant import JumpNoise
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep
 from taciturn.program.ops import Entry, named
 from taciturn.program.signals import add_jumps
+from taciturn.program.translation import TimeStep
 from taciturn.simulation.average import completed_squares, plain_average
 
 PLANTS = {

@@ -124,7 +124,7 @@ def test_the_lower_end_is_the_least_over_all_ways_to_split():
 
 
 def test_more_threshold_means_less_of_both_ends():
-    """Kept sets that grow keep more, and so do their bounds."""
+    """AnyController sets that grow keep more, and so do their bounds."""
     chains = [large_chain(4, 5, 2, delta=delta) for delta in (0.5, 1.0, 2.0, 4.0)]
     ends = np.array([rate_bounds(chain) for chain in chains])
     assert (np.diff(ends, axis=0) < 0).all()

@@ -29,7 +29,7 @@ from taciturn_udp.nodes import NodeServer
 from taciturn_udp.service import FileStorage
 
 
-class Kept:
+class AnyController:
     """A saved state in memory."""
 
     def __init__(self, state: bytes | None = None) -> None:
@@ -49,7 +49,7 @@ class Kept:
         self.state = state
 
 
-def controller(kept: Kept, here: Endpoint, say: Callable[[str], None] | None = None) -> NodeServer:
+def controller(kept: AnyController, here: Endpoint, say: Callable[[str], None] | None = None) -> NodeServer:
     """Return the server of a controller that continues from a saved state."""
     node = Node(POLICY, "controller", epoch=1)
     return NodeServer(
@@ -67,7 +67,7 @@ def here() -> Any:
 @pytest.fixture
 def saved(here: Endpoint) -> bytes:
     """Return the state after some steps."""
-    kept, draws = Kept(), np.random.default_rng(2)
+    kept, draws = AnyController(), np.random.default_rng(2)
     server = controller(kept, here)
     for tick in range(8):
         packet = Packet("measurement", "plant", tick, tick, tuple(draws.normal(size=2).tolist()), 1)
@@ -80,7 +80,7 @@ def saved(here: Endpoint) -> bytes:
 def refused(state: bytes, here: Endpoint) -> str:
     """Return the sentence with which a node refuses a state; empty if it takes the state up."""
     try:
-        controller(Kept(state), here)
+        controller(AnyController(state), here)
     except ProblemError as error:
         return str(error)
     return ""
@@ -184,7 +184,7 @@ def test_a_number_that_no_payload_carries_is_refused_where_it_enters(here: Endpo
             node.step(0, y)  # type: ignore[arg-type]
     with pytest.raises(ProblemError, match=r"2 finite numbers, none beyond 3\.4e\+38"):
         Node(build("remote").policy, "controller").sort_in(Packet("data", "sensor", 0, 0, (1.7e308, 0.0)))
-    server = controller(Kept(), here)
+    server = controller(AnyController(), here)
     good = WIRE.encode(Packet("measurement", "plant", 0, 0, (1.0, 2.0), 1))
     body = good[:HEADER_SIZE] + struct.pack("!2d", 1.7e308, 2.0)
     assert len(body) + CRC_SIZE == len(good)
@@ -196,7 +196,7 @@ def test_a_number_that_no_payload_carries_is_refused_where_it_enters(here: Endpo
 
 def test_a_node_says_once_that_it_holds(here: Endpoint) -> None:
     """With the step; its report counts every such step, and its state can be taken up."""
-    said, kept = list[str](), Kept()
+    said, kept = list[str](), AnyController()
     server = controller(kept, here, said.append)
     for tick in range(12):
         y = (3.4e38, -3.4e38) if 4 <= tick < 7 else (1.0, 2.0)

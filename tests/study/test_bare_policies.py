@@ -10,7 +10,7 @@ import pytest
 
 import taciturn
 from taciturn import Cost, Network, Plant, Policy, Problem, ProblemError, design
-from taciturn.problem.bare import as_problem
+from taciturn.problem.without_file import as_problem
 from taciturn.study.record import fingerprint
 
 MOTOR = Plant([[1.0, 0.1], [0.0, 0.9]], [[0.005], [0.1]], np.diag([0.0, 0.01]))

@@ -76,7 +76,7 @@ def test_designed_drops_are_counted_and_others_are_events(tmp_path: Path) -> Non
     ]
 
 
-class Kept(Page):
+class AnyController(Page):
     """A page that keeps what it shows."""
 
     def __init__(self) -> None:
@@ -106,7 +106,7 @@ class Kept(Page):
 def test_a_round_and_the_loop_that_sends_every_sample_are_those_of_a_run() -> None:
     """Each shown step is that of the finished trial, and the other loop is bit-identical to it alone."""
     prepared, setup = crew("omni"), Setup(seed=2)
-    with Kept() as page:
+    with AnyController() as page:
         run = watch_twin(prepared, page, setup, speed=0.0, rounds=1)
     assert run is not None
     assert run.always is not None

@@ -72,9 +72,9 @@ from taciturn.model.steps import ONE, Apply, Condition, Decide, Draw, Evaluate, 
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
-from taciturn.program.lower import TimeStep
 from taciturn.program.ops import Entry, Name, Named, Option, Sent, is_entry
 from taciturn.program.quadratic import as_form, read_polynomials
+from taciturn.program.translation import TimeStep
 
 # the properties of a loop that its step represents, or refuses where it meets them (FixedStep)
 CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS

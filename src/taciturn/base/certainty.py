@@ -33,7 +33,7 @@ from taciturn.base.filter import CLOCK, DEVIATION, ESTIMATE, HELD, SEND, FilterS
 from taciturn.base.nominal import Nominal
 from taciturn.base.receiver import estimate_to_actuator
 from taciturn.errors import ProblemError
-from taciturn.lqg.cache import MOST
+from taciturn.lqg.cache import MOST_PROBLEMS
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
@@ -183,7 +183,7 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     return _design(problem)
 
 
-@lru_cache(maxsize=MOST)  # a problem is itself, and the same one for equal data (``discretise``)
+@lru_cache(maxsize=MOST_PROBLEMS)  # a problem is itself, and the same one for equal data (``discretise``)
 def _design(problem: Discrete) -> CertaintyEquivalentDesign:
     plant = problem.plant
     regulator = problem.regulator()

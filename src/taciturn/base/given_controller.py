@@ -18,7 +18,7 @@ from its integrals.
 the policy. Between packets, the receiver keeps its last value or predicts it. The controller may also be discretised
 for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two is compared.
 
-``lqg_observer`` writes LQG as such a controller, and ``cost_as_kept`` returns weights for which the present variances
+``lqg_observer`` writes LQG as such a controller, and ``cost_as_now`` returns weights for which the present variances
 of all outputs and inputs count equally.
 """
 
@@ -45,7 +45,7 @@ from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.lqg.stored import Proved
-from taciturn.model.controller import ContinuousController, Controller, Kept, relative_to
+from taciturn.model.controller import AnyController, ContinuousController, Controller, relative_to
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Disturbance, padded
@@ -66,7 +66,7 @@ CONSTANT = (
 )
 
 
-def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
+def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: float | None = None) -> Cost:
     """Return the cost for which the present variances of all outputs and inputs count equally, with every sample."""
     usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
     problem, controller, _ = disturbed(plant, usual, period, kept)
@@ -95,7 +95,7 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
 
 
 def disturbed(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: AnyController
 ) -> tuple[Discrete, Controller, Disturbance | None]:
     """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""
     problem = discretise(plant, cost, period)
@@ -184,7 +184,7 @@ def note_disturbance(controller: Controller, disturbance: Disturbance | None) ->
     return (f"the plant has a slowly varying disturbance at each input: {disturbance.text()}{source}",)
 
 
-def note_ringing(kept: Kept, step: float) -> tuple[str, ...]:
+def note_ringing(kept: AnyController, step: float) -> tuple[str, ...]:
     """Return a note on a mode of a continuous controller that the trapezoidal rule makes alternate."""
     found = kept.ringing(step) if isinstance(kept, ContinuousController) else None
     if found is None:
@@ -201,7 +201,7 @@ def note_ringing(kept: Kept, step: float) -> tuple[str, ...]:
 class GivenLoop(Displayed):
     """A given controller and its plant in deviations from the point at which they rest."""
 
-    kept: Kept  # the controller, which may depend on the step, its set-points relative to the plant's operating point
+    kept: AnyController  # the controller as stated, its set-points relative to the operating point of the plant
     controller: Controller  # the controller at the step
     problem: Discrete  # the discrete-time problem of the deviations, with the slow disturbance
     point: Rest  # the point at which the loop rests
@@ -210,7 +210,7 @@ class GivenLoop(Displayed):
 
     @staticmethod
     def of(
-        plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, lqg: bool = False
+        plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: AnyController, lqg: bool = False
     ) -> GivenLoop:
         """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
         if plant.exosystem is not None:
@@ -298,7 +298,7 @@ class SameControl(Displayed):
     """Function of the steps between packets that returns the exact cost per step, without inter-sample noise cost."""
 
     problem: Discrete  # the discrete-time problem
-    kept: Kept  # the controller, which may depend on the step
+    kept: AnyController  # the controller, which may depend on the step
     base: Base  # the loop that sends every sample, with the receiver's own value in silence
 
     def __call__(self, steps: int) -> float:

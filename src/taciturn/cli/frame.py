@@ -569,8 +569,8 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
 def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:
     """Load a problem and change the keys that --set names."""
     from taciturn import load
-    from taciturn.problem.bare import passed_problem
     from taciturn.problem.settings import parse_settings
+    from taciturn.problem.without_file import passed_problem
 
     problem, changes = passed_problem(file) or load(file, functions=not no_functions), parse_settings(settings or [])
     return problem.changed(changes) if changes else problem

@@ -10,7 +10,7 @@ norms add up at most,
 for any noise, and for errors of any cause within Δ. So the certificate is conservative.
 
 ``DeadBands`` makes the steps of the sensors, and of a controller that sends to actuators. The control between them is
-LQG with a filtered estimate (``Filtered``) or a given controller (``Given``).
+LQG with a filtered estimate (``FilteredSteps``) or a given controller (``Given``).
 
 Source: miskowicz2006
 """
@@ -33,7 +33,7 @@ from taciturn.base.value import Base, advantage
 from taciturn.design.bounds import bound_by_errors, shares_of
 from taciturn.errors import ProblemError
 from taciturn.lqg.gain import largest_gain
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import AnyController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.network import Network
@@ -46,12 +46,12 @@ from taciturn.model.trigger import Form, Trigger
 LAST, HEARD, REGISTER = "last", "heard", "register"
 
 
-def keep_at_nodes(
+def given_at_nodes(
     kind: str,
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
-    kept: Kept,
+    kept: AnyController,
     delta: float,
     shares: Mapping[str, float],
     network: Network,
@@ -66,7 +66,7 @@ def keep_at_nodes(
             f"{got}, and packets are sent on {len(network.links)} links; expected inputs without limits and a "
             "controller without set-point and start, or one link"
         )
-    bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
+    bands, control = DeadBands(network, plant, delta, shares), GivenSteps(loop.controller)
     initial, base = bands.begun(plant.C @ plant.mean), loop.every_sample()
     policy = policy_of_loop(kind, loop, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
     return replace(policy, theory=replace(policy.theory, covers=policy.theory.covers | THEORY, periodic=None))
@@ -120,7 +120,7 @@ class Control(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Filtered(Displayed):
+class FilteredSteps(Displayed):
     """Feedback of a filtered estimate."""
 
     plant: Plant  # the plant from step to step
@@ -152,7 +152,7 @@ class Filtered(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Given(Displayed):
+class GivenSteps(Displayed):
     """A given controller."""
 
     controller: Controller  # the controller at the step of the policy

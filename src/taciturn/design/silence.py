@@ -7,7 +7,7 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
 
     J ≤ J_base + δ (1 − rate).
 
-* A controller of the user, over either link: ``keep_controller``. LQG over a horizon or with a discount, whose slope is
+* A controller of the user, over either link: ``send_for_given``. LQG over a horizon or with a discount, whose slope is
   zero: ``total_excess``. A packet in every step, without a decision: ``send_every_sample``.
 * Over a link with bursts, the weights depend on the state of the channel. The node keeps its distribution, the
   ``belief``, by the acknowledgements, and the cost of silence is the mean over it (``cost_of_silence``).
@@ -52,7 +52,7 @@ from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_b
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.stored import controller_loop
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import AnyController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS
 from taciturn.model.network import Network
@@ -72,12 +72,12 @@ MORE_PACKETS = "send more packets, or let a model predict the input between them
 MISSING, WOULD, BEYOND, LIMIT = "missing", "command of a packet", "beyond limits", "limit"
 
 
-def keep_controller(
+def send_for_given(
     kind: str,
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
-    kept: Kept,
+    kept: AnyController,
     price_at: Callable[[float], float],
     actuation: LoopActuation,
     link: str,
@@ -176,7 +176,12 @@ def keep_controller(
 
 
 def send_every_sample(
-    kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, link: str = "actuator"
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    kept: AnyController,
+    link: str = "actuator",
 ) -> Policy:
     """Return the loop of a given controller with a packet at every sample.
 

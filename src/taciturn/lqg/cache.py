@@ -16,40 +16,31 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._progress import check_time
 
-MOST_OF_ARRAYS = 16  # latest results of a function of arrays
-MOST = 8  # latest results of a function that are stored: a problem of 200 states has some megabytes
+MOST = 16  # latest results of a function that are stored
+MOST_PROBLEMS = 8  # of them if they are problems: one of 200 states has some megabytes
 
 Args = TypeVarTuple("Args")
 Result = TypeVar("Result")
 
 
 def remembered(compute: Callable[[*Args], Result], most: int = MOST) -> Callable[[*Args], Result]:
-    """Wrap a function of immutable data in a cache of its latest results."""
+    """Wrap a function of immutable data in a cache; arrays get one order of memory, on which rounding may depend."""
     latest: dict[bytes, Result] = {}
+    loose = cast("Callable[..., Result]", compute)
 
     @wraps(compute)
-    def found(*args: *Args) -> Result:
+    def found(*given: *Args) -> Result:
         check_time()  # every design and every search for periodic control solves equations
+        whole = cast("tuple[object, ...]", given)
+        args = [np.ascontiguousarray(cast("Array", a)) if isinstance(a, np.ndarray) else a for a in whole]
         try:
             key = pickle.dumps(args, protocol=4)  # of later ones, the bytes of constant arrays differ
         except (pickle.PicklingError, AttributeError, TypeError):  # of a class that was made inside a function
-            return compute(*args)
-        result = latest.pop(key) if key in latest else compute(*args)
+            return loose(*args)
+        result = latest.pop(key) if key in latest else loose(*args)
         latest[key] = result  # now the latest
         while len(latest) > most:
             latest.pop(next(iter(latest)), None)
         return result
-
-    return found
-
-
-def kept(solve: Callable[[*Args], Result]) -> Callable[[*Args], Result]:
-    """Wrap a function of arrays in a cache; they are brought in one order of memory, on which rounding may depend."""
-    of_rows = cast("Callable[..., Result]", remembered(solve, MOST_OF_ARRAYS))
-
-    @wraps(solve)
-    def found(*args: *Args) -> Result:
-        given = cast("tuple[object, ...]", args)
-        return of_rows(*(np.ascontiguousarray(cast("Array", a)) if isinstance(a, np.ndarray) else a for a in given))
 
     return found

@@ -46,7 +46,7 @@ from taciturn._modes import (
 )
 from taciturn._rational import Limit, unmoved
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.cache import remembered
+from taciturn.lqg.cache import MOST_PROBLEMS, remembered
 from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
@@ -503,7 +503,7 @@ def _discretise(
     )
 
 
-_of_data = remembered(_discretise)
+_of_data = remembered(_discretise, MOST_PROBLEMS)
 
 
 def _with_added_states(

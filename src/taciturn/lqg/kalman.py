@@ -26,7 +26,7 @@ from taciturn._display import Displayed
 from taciturn._modes import closure, mode_text, radius, root
 from taciturn._rational import NONE, Limit, precision, rational, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.cache import kept
+from taciturn.lqg.cache import remembered
 from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError
 from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held, ranked
 from taciturn.lqg.quadratic import Quadratic, price, unpaid, worth_of
@@ -147,7 +147,7 @@ def forgetting(plant: Plant, filtered: Sequence[Array], regulated: float, remedy
     return 1 / (1 - max(regulated, slowest))
 
 
-@kept
+@remembered
 def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
     """Return the steady Kalman filter of a plant in doubles, whose A and W may be known to any precision."""
     # The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their

@@ -38,7 +38,7 @@ from taciturn._display import Displayed
 from taciturn._modes import closure, radius, root, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
-from taciturn.lqg.cache import kept
+from taciturn.lqg.cache import remembered
 from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.riccati import Repetition
@@ -100,7 +100,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     return replace(found, covariance=frozen(covariance))
 
 
-@kept
+@remembered
 def _scheduled(
     A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
 ) -> Schedule:

@@ -25,7 +25,7 @@ from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
 from taciturn._rational import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.cache import kept
+from taciturn.lqg.cache import remembered
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.followed import Followed, followed
@@ -202,7 +202,7 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
         )
 
 
-@kept
+@remembered
 def regulate_sampled(
     exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
 ) -> Regulator:

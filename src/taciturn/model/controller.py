@@ -413,7 +413,7 @@ class PIDLoops(Displayed):
         return None if all(loop.start_input is None for loop in self.loops) else stated
 
 
-Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
+AnyController: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 
 
 def pids_of(kept: object) -> tuple[PID, ...]:
@@ -421,7 +421,7 @@ def pids_of(kept: object) -> tuple[PID, ...]:
     return kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
 
 
-def relative_to(kept: Kept, plant: Plant | ContinuousPlant) -> Kept:
+def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyController:
     """Return a controller whose set-points and inputs are relative to the operating point of a plant.
 
     A set-point of 0 is the one at the operating point.
@@ -458,7 +458,7 @@ def controller_from(
     E: ArrayLike | None = None,
     disturbance: Disturbance | None = None,
     setpoint: ArrayLike | None = None,
-) -> Kept:
+) -> AnyController:
     """Convert a system of python-control or scipy, a gain matrix, or a list of PID controllers into a controller.
 
     Args:
@@ -492,7 +492,7 @@ def controller_from(
         if len(loops) < len(listed):
             wrong = next(one for one in listed if not isinstance(one, PID))
             raise ProblemError(f"the list of PID controllers contains {quoted(wrong)}; expected PID controllers only")
-        return PIDLoops(tuple(loops)) if loops else cast("Kept", system)
+        return PIDLoops(tuple(loops)) if loops else cast("AnyController", system)
     if isinstance(system, np.ndarray | Sequence | float | int):
         for name in (name for name in ("method", "E") if name in stated):
             raise ProblemError(f"{name} is given with a gain matrix, which has no state; expected no {name}")

@@ -77,7 +77,9 @@ def outward(value: float, digits: int, up: int) -> float:
 def rounded(value: float, digits: int, up: int) -> str:
     """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
     nearest = outward(value, digits, up)
-    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
+    if 1e4 <= abs(nearest) < LARGE:  # as a whole number, which is on the same side
+        return str((math.ceil if up > 0 else math.floor)(nearest))
+    return number_text(nearest, digits)
 
 
 def proved(bound: float | None) -> float | None:

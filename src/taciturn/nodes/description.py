@@ -23,7 +23,7 @@ from taciturn.nodes.inbox import AHEAD, WIDTH
 from taciturn.nodes.packet import WIRED
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.node import lay_out, lower_node
+from taciturn.program.node import lay_out, translate_node
 from taciturn.program.ops import State, needed, text_of, tiles
 
 _DESCRIBED = 1  # version of the description
@@ -70,7 +70,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
 
 def _node(policy: Policy, network: Network, role: str, seed: int) -> dict[str, Any]:
     """Return the inputs, memories, packets and operations of a node."""
-    program, links = lower_node(policy, place_of(policy, role), network), wire_links(policy)
+    program, links = translate_node(policy, place_of(policy, role), network), wire_links(policy)
     layout = lay_out(policy, program)
     first = program.parts[0]
     words: list[int] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()

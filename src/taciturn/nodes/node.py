@@ -35,7 +35,7 @@ from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.nodes.packet import Packet
 from taciturn.program.draws import seed_generators
-from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, lower_node
+from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
@@ -436,7 +436,7 @@ class _Compiled(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _compile(policy: Policy, role: str, network: Network) -> _Compiled:
-    program = lower_node(policy, place_of(policy, role), network)
+    program = translate_node(policy, place_of(policy, role), network)
     return _Compiled(
         fingerprint(policy, network),
         program,

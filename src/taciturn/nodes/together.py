@@ -34,15 +34,15 @@ from taciturn.program.all_nodes import (
     change_of,
     copies_of_inputs,
     fate_of,
-    lower_command,
-    lower_policy,
     predicted_outputs,
+    translate_command,
+    translate_policy,
 )
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.lower import APPLIED, link_state
 from taciturn.program.ops import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
+from taciturn.program.translation import APPLIED, link_state
 
 _NEAR = 1e-9  # relative difference of two inputs
 _TRIES = 4
@@ -123,7 +123,7 @@ class Nodes:
         self._changed = {copy.signal: len(copy.effect) for copy in self._copies}
         told = {TOLD: 1} if self._changed else {}
         taken |= told | {change_of(signal): size for signal, size in self._changed.items()}
-        self.turns = StepFunction(lower_policy(begun, self.network, Informed), taken, self.network, seed)
+        self.turns = StepFunction(translate_policy(begun, self.network, Informed), taken, self.network, seed)
         self.reset()
 
     def reset(self) -> None:
@@ -396,7 +396,7 @@ def _shifted(policy: Policy, prior: str, moved: Array) -> Policy:
 def _command(policy: Policy, network: Network, measured: bool = False) -> Array | None:
     """Return the first command if all outputs are as predicted or are measured as 0, or None if this is not known."""
     # Packets arrive, and the draws of the policy do not matter to a command.
-    program = None if predicted_outputs(policy) is None else lower_command(policy, network)
+    program = None if predicted_outputs(policy) is None else translate_command(policy, network)
     if program is None:
         return None
     given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}

@@ -37,7 +37,7 @@ from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
-from taciturn.model.controller import Kept
+from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Reference
@@ -114,7 +114,7 @@ class Problem(Displayed):
     source: Mapping[str, Any] | None = None
     name: str = ""
     own: Kind | None = None
-    controller: Kept | None = None
+    controller: AnyController | None = None
     limits: Limits | None = None
 
     def __post_init__(self) -> None:

@@ -29,12 +29,12 @@ from taciturn._arrays import Array, quoted
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._text import backslash_text
-from taciturn.base.given_controller import cost_as_kept
+from taciturn.base.given_controller import cost_as_now
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.lqg.followed import regulator_equations
-from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance, with_target
 from taciturn.model.dynamics import Dynamics, dynamics_of
@@ -332,7 +332,7 @@ def actual_of(
     return plant
 
 
-def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: Kept | None, period: object) -> Cost:
+def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: AnyController | None, period: object) -> Cost:
     """Return the cost of a table, which states weights, variances, or weights by the present loop of a controller."""
     stated = dict(table)
     short = [name for name in ("output_variance", "input_variance", "weights") if name in stated]
@@ -352,7 +352,7 @@ def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: Kept | 
                 f"cost.weights is {stated['weights']!r} without a controller; expected [controller], or Q and R"
             )
         seconds = float(period) if isinstance(period, int | float) else None
-        found = cost_as_kept(plant, controller, seconds)
+        found = cost_as_now(plant, controller, seconds)
         return Cost(found.Q, found.R, found.N, **ending)
     for name in (name for name in ("output_variance", "input_variance") if name not in stated):
         raise ProblemError(f"the key cost.{name} is missing; expected it in [cost], with cost.{short[0]}")
@@ -360,7 +360,7 @@ def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: Kept | 
     return Cost(found.Q, found.R, found.N, **ending)
 
 
-def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> Kept:
+def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyController:
     """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
     _expect_stated(table, plant)
     disturbance = table.get("disturbance")

@@ -1,12 +1,13 @@
 """Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs.
 
-``lower_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
+``translate_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
 numbers, and gives the input of the plant, the nodes' copies of it, and whether a packet is sent and arrives on each
 link. ``taciturn.loop`` walks through the same steps (``begin_time_step``, ``measure``, ``carry_out``) between its own
 of the plant.
 
 A program for real plants is informed of more (``Informed``): which outputs are not measured and are to be predicted,
-which input was really applied, and what becomes of a packet. ``lower_command`` stops at the command of the controller.
+which input was really applied, and what becomes of a packet. ``translate_command`` stops at the command of the
+controller.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from taciturn.model.steps import ONE, Assign, Step, Terms
 from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
-from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
+from taciturn.program.translation import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
 
 _FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
@@ -36,7 +37,7 @@ Begin: TypeAlias = Callable[..., TimeStep]
 MEASURED, _COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
-def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
+def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input."""
     policy = policy.in_units
     tick = _measured(policy, network, begin)
@@ -106,7 +107,7 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 class Informed(TimeStep):
     """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets."""
 
-    # Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter
+    # Inputs of the program besides those of ``translate_policy``: for each output ``measured``, 1 or 0, if a filter
     # predicts the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is
     # drawn; ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into
     # which a copy enters its ``change_of``. These are inputs, because a memory may be merged with another one or be
@@ -165,7 +166,7 @@ def predicted_outputs(policy: Policy) -> Terms | None:
     return predicted if np.array_equal(measured, np.eye(model.outputs)) else None
 
 
-def lower_command(policy: Policy, network: Network) -> Program | None:
+def translate_command(policy: Policy, network: Network) -> Program | None:
     """Return the program that computes the command of the controller in a step; None if no signal is a command."""
     names = {index: (name, i) for name, rows in _commands(policy).items() for i, index in enumerate(rows)}
     tick = _measured(policy, network, Informed)

@@ -41,8 +41,8 @@ from taciturn.model.steps import (
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
-from taciturn.program.lower import APPLIED, Operands, Payloads, TimeStep, encode_payloads, first_input
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
+from taciturn.program.translation import APPLIED, Operands, Payloads, TimeStep, encode_payloads, first_input
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
 _FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
@@ -68,7 +68,9 @@ class NodeProgram:
     sends: Mapping[str, tuple[str, ...]]  # for each link that begins at the site, the signals of its packet
 
 
-def lower_node(policy: Policy, site: frozenset[str], network: Network, precision: Precision = "float64") -> NodeProgram:
+def translate_node(
+    policy: Policy, site: frozenset[str], network: Network, precision: Precision = "float64"
+) -> NodeProgram:
     """Return the programs of one time step of the nodes at one site of a policy."""
     policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)

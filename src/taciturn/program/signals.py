@@ -26,8 +26,8 @@ from taciturn.model.signals import RandomSteps, SampledChanges
 from taciturn.model.steps import Location
 from taciturn.program.draws import NORMAL, minus_two_log
 from taciturn.program.ir import Builder
-from taciturn.program.lower import Operands, TimeStep
 from taciturn.program.ops import Entry
+from taciturn.program.translation import Operands, TimeStep
 
 _MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 _MOST = 100  # most jumps drawn per step

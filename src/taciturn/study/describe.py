@@ -38,7 +38,7 @@ from taciturn.model.signals import Changes, Exosystem
 from taciturn.model.steps import Assign, Evaluate
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.without_file import Studied, as_problem
 from taciturn.program.node import steps_of_a_fault
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.study.evaluation import Unit, cost_unit, proof_text, time_unit

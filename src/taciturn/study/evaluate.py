@@ -35,7 +35,7 @@ from taciturn.analyse.renewal import bound_rate, resets
 from taciturn.design.silence import send_every_sample
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
-from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
@@ -43,7 +43,7 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import LEVEL, Linearisation, LowerBound
 from taciturn.problem import Problem
-from taciturn.problem.bare import BareKind, Studied, as_problem
+from taciturn.problem.without_file import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
@@ -409,7 +409,7 @@ def _plant_as_written(
     return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
 
 
-def _every_sample(problem: Problem, kept: Kept) -> float | None:
+def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
     if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None:
         return None
@@ -421,7 +421,7 @@ def _every_sample(problem: Problem, kept: Kept) -> float | None:
         return None
 
 
-def _without_disturbance(kept: Kept) -> Kept:
+def _without_disturbance(kept: AnyController) -> AnyController:
     """Return a controller whose plant gets no slow disturbance."""
     none = Disturbance(deviation=0.0)
     if isinstance(kept, PIDLoops):

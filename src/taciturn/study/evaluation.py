@@ -45,10 +45,10 @@ from taciturn.model.steps import Decide
 from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
-from taciturn.problem.bare import BareKind
+from taciturn.problem.without_file import BareKind
 from taciturn.program.engine import prepare
-from taciturn.program.lower import APPLIED, first_input
 from taciturn.program.ops import Entry
+from taciturn.program.translation import APPLIED, first_input
 from taciturn.simulation.average import average
 from taciturn.simulation.reliability import escapes, wanders
 from taciturn.simulation.sampling import Averages

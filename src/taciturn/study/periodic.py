@@ -37,10 +37,10 @@ from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
 from taciturn.loop import close
+from taciturn.lqg.cache import remembered
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, cycles, lift
-from taciturn.lqg.riccati import kept
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
@@ -252,7 +252,7 @@ def _cost_of_period(problem: Problem, seconds: float, samples: int | None, actua
     return exact.cost if loop.nominal and exact is not None else None
 
 
-@kept
+@remembered
 def _holding(
     A: Array, B: Array, Q: Array, R: Array, N: Array, corrections: Array, unseen: float, noise_cost: float, tick: float
 ) -> Ticked:

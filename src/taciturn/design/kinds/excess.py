@@ -26,7 +26,7 @@ from taciturn.base.given_controller import lqg_observer
 from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.design.silence import drops, keep_controller, total_excess
+from taciturn.design.silence import drops, send_for_given, total_excess
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
@@ -140,7 +140,7 @@ def excess(
         )
     else:
         kept, lqg = controller_from(controller), None
-    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
+    return send_for_given("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
 
 
 def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:

@@ -26,7 +26,7 @@ from taciturn.base.nominal import Nominal
 from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes, policy_of_loop
+from taciturn.design.dead_bands import DeadBands, FilteredSteps, errors_of_one, given_at_nodes, policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -105,7 +105,7 @@ def send_on_delta(
     expect_average("send-on-delta", cost)
     if len(links) > 1:
         kept = controller_from(controller)
-        return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
+        return given_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
         raise ProblemError(
             "shares is given with a controller and one link; expected shares with several links"
@@ -131,9 +131,9 @@ def _filter(
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
-    filtered = Filtered(plant, steady.gain, certainty.regulator.L)
+    filtered = FilteredSteps(plant, steady.gain, certainty.regulator.L)
     unknown = ~resting_states(plant)  # without set-points, which have no errors
-    alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
+    alone = FilteredSteps(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
     base = actuator_base(problem.among(unknown), alone.controller)
     errors = bands.errors(base)
     settling = 1 / (1 - max(certainty.regulator.slowest, steady.slowest))

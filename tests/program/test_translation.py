@@ -1,4 +1,4 @@
-"""Lowering: the program of a loop does what its steps say, told again here step by step for one path at a time."""
+"""Translation: the program of a loop does what its steps say, told again here step by step for one path at a time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from taciturn.loop import Loop
 from taciturn.model.steps import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep
 from taciturn.program.numpy import run
 from taciturn.program.ops import Entry, Sent
+from taciturn.program.translation import TimeStep
 
 SEEDS = st.integers(0, 2**32 - 1)
 
