@@ -93,7 +93,7 @@ DEFECTS = {
     ),
     # of estimates and studies
     "a budget may be missed by 1 %": Planted(
-        "taciturn_studies/goal.py", "return found.value - self.budget, ", "return found.value - 1.01 * self.budget, "
+        "../taciturn_studies/goal.py", "return found.value - self.budget, ", "return found.value - 1.01 * self.budget, "
     ),
     "the window of a receiver admits duplicates": Planted(
         "nodes/inbox.py", "elif self.seen >> behind & 1:", "elif self.seen >> behind & 1 and behind < 900:"

@@ -344,6 +344,9 @@ def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPoli
 
 def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
+    # without the limits on the intervals between sends, which ``placed`` adds to the policy
+    if not network.own_nodes:
+        return network.unlimited
     links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
@@ -357,7 +360,6 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         if at:
             links[name] = network.links[at[0]]
             stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
-    # without the limits on the intervals between sends, which ``placed`` adds to the policy
     return Network(delay=network.delay, links=links, stated=stated).unlimited
 
 

@@ -138,16 +138,16 @@ def _given(keys: Mapping[str, object], arguments: Mapping[str, str]) -> dict[str
 NO_DELAY = ("delay", "buffer")  # keys of a link that have a message of their own
 
 
-@dataclass(frozen=True, kw_only=True)
-class InitialKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class InitialKeys(Displayed):
     """The keys of the table ``[plant.initial]``, arguments of a plant."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class OtherPlantKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherPlantKeys(Displayed):
     """Keys of ``[plant]`` and ``[plant.actual]`` that state attributes of a plant in another way."""
 
     ORDER: ClassVar = (*"ABCDWVE", "dt", "input_limit", "input_rate", "function", "initial", "jumps")  # in messages
@@ -158,15 +158,15 @@ class OtherPlantKeys:
 PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ActualKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ActualKeys(Displayed):
     """The key of ``[plant]`` for the plant that is simulated in its place."""
 
     actual: PlantKeys | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class OtherCostKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherCostKeys(Displayed):
     """Keys of ``[cost]`` in place of Q and R."""
 
     output_variance: list[float] | None = None
@@ -177,8 +177,8 @@ class OtherCostKeys:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class OtherReferenceKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherReferenceKeys(Displayed):
     """Keys of ``[reference]`` that become changes of set-points, or disturbances."""
 
     steps: Annotated[dict[str, Any], RandomSteps] | None = None
@@ -189,8 +189,8 @@ class OtherReferenceKeys:
 PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 
 
-@dataclass(frozen=True, kw_only=True)
-class OtherControllerKeys:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherControllerKeys(Displayed):
     """Keys of ``[controller]`` that state its matrices in another way, and the sign of its feedback."""
 
     pid: PIDKeys | list[PIDKeys] | None = field(
