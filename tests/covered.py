@@ -28,7 +28,7 @@ from taciturn.model.trigger import Trigger
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.node import translate_node
-from taciturn.program.translation import LOWERED
+from taciturn.program.translation import TRANSLATED
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import average
 from taciturn_channel.classes import CHANNELS
@@ -38,7 +38,7 @@ from taciturn_export.folder import print_folder
 from taciturn_udp.relay import losses
 from taciturn_worlds.world import World
 
-LEARNT = (SIMULATED, LOWERED, INFORMED)
+LEARNT = (SIMULATED, TRANSLATED, INFORMED)
 ONE = [[1.0]]
 IDEAL, PLANT, COST = Network(), Plant([[1.1]], ONE, ONE), Cost(ONE, ONE)
 

@@ -39,7 +39,7 @@ MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_rational", "_arrays"), ("_rational", "_modes"), ("_scipy", "_arrays"), ("_files", "_process"),
     ("_progress", "_arrays"), ("_progress", "_text"), ("_progress", "errors"), ("_plugins", "errors"),
-    ("cli", ""), ("renewal", "program"),
+    ("cli", ""),
 }  # fmt: skip
 
 
@@ -127,6 +127,20 @@ def test_the_page_says_which_parts_a_part_imports() -> None:
     shown = {here: set(re.findall(r"`(\w+)`", others)) for _, here, others in rows}
     assert shown == {here: {name for name in uses[here] - {here, ""} if FLOORS.get(name)} for here in shown}
     assert shown.keys() == {name for name, floor in FLOORS.items() if floor and name}
+
+
+def test_the_page_lists_every_package_of_the_wheel() -> None:
+    """Next to the library, as ``src`` holds them."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\| `(taciturn_\w+)` \|", text, re.MULTILINE)) == list(SATELLITES)
+
+
+def test_a_package_lists_its_modules() -> None:
+    """Its header is the way into it."""
+    for header in SOURCE.glob("*/__init__.py"):
+        text = header.read_text(encoding="utf-8").partition('"""\n\n')[0]
+        missing = [path.stem for path in header.parent.glob("*.py") if f"``{path.stem}``" not in text]
+        assert header.parent.name == "problems" or missing == ["__init__"], header.parent.name
 
 
 def circles(source: Path) -> list[str]:

@@ -11,6 +11,7 @@
 | `taciturn.quadratures` | `jumps` | function that solves a chain whose noise consists of jumps |
 | `taciturn.violations` | `limits` | function that estimates how often a loop violates limits of its states |
 | `taciturn.wires` | name of the wire | function that returns the encoder and decoder of a node |
+| `taciturn.worlds` | `faults` | function that runs all nodes of a problem in a world of faults |
 """
 
 from __future__ import annotations

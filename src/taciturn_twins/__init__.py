@@ -30,11 +30,14 @@ real time, the world does not wait, and a late packet has a late effect.
 for every datagram. `run.run_twin` adds the same trial with the policy that sends every sample. `report`, `dataset`,
 `record` and `figures` write the results, and `reproduction` arranges them as in the thesis.
 
-**Live page.** `live.watch_twin` runs one round after another. `steps` combines the logs of a running trial into one row
-per step. `baseline` runs the loop that sends every sample synchronously, with the same seed, disturbances, faults,
+**Live page.** `live.watch_twin` runs one round after another. `steps` combines the logs of a running trial into one
+row per step. `baseline` runs the loop that sends every sample synchronously, with the same seed, disturbances, faults,
 losses and pushes. `page` passes the rows to `feed`, a log that any number of browsers read at different speeds.
-`server` serves the files in ``web/`` and the stream of events, and passes user requests (pause, push, parameter) to the
-round. `access_control` checks that every request contains a token, or comes from this machine.
+`server` serves the files in ``web/`` and the stream of events over `connections`, and passes user requests (pause,
+push, parameter) to the round. `access_control` checks that every request contains a token, or comes from this machine.
+
+`commands` has the commands `twin` and `camera`. `_cv2` and `_mujoco` are the typed interfaces to optional
+dependencies.
 
 To add a robot, write a module like `rover` with a `Robot`, and add an entry to `catalogue` and to `mission`.
 """

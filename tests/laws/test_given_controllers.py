@@ -16,7 +16,7 @@ from runtime.loops import differing_ticks, record
 import taciturn
 from taciturn import PID, Controller, Cost, Disturbance, Loop, Network, Plant, Policy, UnstableError, design
 from taciturn.base.given_controller import REMEDY, lqg_observer
-from taciturn.base.receiver import actuator_base, sensor_base
+from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import advantage
 from taciturn.design.silence import send_every_sample
 from taciturn.lqg.discrete import discretise

@@ -12,7 +12,7 @@ from runtime.loops import differing_ticks, record
 import taciturn
 from taciturn import PID, Burst, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.base.given_controller import lqg_observer
-from taciturn.base.receiver import actuator_base, sensor_base
+from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import Attempts, Base, advantage, critical_scale
 from taciturn.design.silence import ChannelBelief
 from taciturn.lqg.discrete import discretise

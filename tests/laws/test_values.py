@@ -16,7 +16,7 @@ import taciturn
 from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.base.certainty import design_certainty
 from taciturn.base.gains import price_control
-from taciturn.base.receiver import actuator_base, predicting_actuator, predicting_controller, sensor_base
+from taciturn.base.route import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.base.value import Attempts, Base, advantage, critical_scale
 from taciturn.design.prediction import predict_continuously
 from taciturn.lqg.discrete import discretise

@@ -7,7 +7,7 @@ Read the modules in this order:
 
 1. ``value``: the value of any base, also over links that drop packets, and the cost of silence.
 2. ``filter``: the estimate of the state as policy steps, and the step counter of all that changes with the step.
-3. ``receiver``: the policy steps of the link over which a base sends, and the bases of a given controller.
+3. ``route``: the policy steps of the link over which a base sends, and the base of a given controller on each link.
 4. ``certainty``: LQG as a base. ``gains``: its gains for a horizon, a discount, or links that drop packets.
 5. ``given_controller``: the loop of a controller of the user, with its slow disturbance and its set-point.
 6. ``nominal``: a policy with what its base fixes. ``anti_windup``: a policy for inputs with limits.

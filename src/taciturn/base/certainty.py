@@ -31,7 +31,7 @@ from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, radius
 from taciturn.base.filter import CLOCK, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
 from taciturn.base.nominal import Nominal
-from taciturn.base.receiver import estimate_to_actuator
+from taciturn.base.route import estimate_to_actuator
 from taciturn.errors import ProblemError
 from taciturn.lqg.cache import MOST_PROBLEMS
 from taciturn.lqg.discrete import Discrete

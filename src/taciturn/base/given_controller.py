@@ -37,7 +37,7 @@ from taciturn.base.certainty import design_certainty, error_per_unit
 from taciturn.base.filter import HELD
 from taciturn.base.gains import price_control
 from taciturn.base.nominal import Nominal
-from taciturn.base.receiver import actuator_base
+from taciturn.base.route import actuator_base
 from taciturn.base.value import Attempts, Base, advantage, least_value
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before

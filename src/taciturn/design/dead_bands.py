@@ -28,7 +28,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.base.filter import ESTIMATE, HELD, SEND
 from taciturn.base.given_controller import GivenLoop, SameControl
-from taciturn.base.receiver import nonempty
+from taciturn.base.route import nonempty
 from taciturn.base.value import Base, advantage
 from taciturn.design.bounds import bound_by_errors, shares_of
 from taciturn.errors import ProblemError

@@ -2,7 +2,7 @@
 
 In each step, the node that decides, the controller or the sensor, estimates the state, follows the controller's state
 ``register``, and computes the difference ``error`` = e between the value that the receiver uses in silence and the
-choice, the value that a packet would carry (``base.receiver``). The value of the base (``base.value``) gives the cost
+choice, the value that a packet would carry (``base.route``). The value of the base (``base.value``) gives the cost
 of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
 
     J ≤ J_base + δ (1 − rate).
@@ -45,8 +45,8 @@ from taciturn.base.given_controller import (
     SameControl,
 )
 from taciturn.base.nominal import Nominal
-from taciturn.base.receiver import MEASURED, REGISTER, GivenRoute, nonempty, route_over
-from taciturn.base.receiver import Actuation as LoopActuation
+from taciturn.base.route import MEASURED, REGISTER, GivenRoute, nonempty, route_over
+from taciturn.base.route import Actuation as LoopActuation
 from taciturn.base.value import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_state
 from taciturn.errors import ProblemError

@@ -20,5 +20,6 @@ Read the modules in this order:
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``critical_losses``: control over links that drop packets, and the critical loss probabilities.
 5. ``queries``: schedules of measurements, by their value to the controller or by the variances of predicted outputs.
-6. ``stored`` and ``gain``: proofs for the gains as programs hold them, and the H∞ norm of a loop.
+6. ``stored`` and ``gain``: proofs for the gains as programs hold them, and the H∞ norm of a loop. ``cache``: results of
+   equal data, which are computed once.
 """

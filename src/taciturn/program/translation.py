@@ -53,7 +53,7 @@ from taciturn.program.tracing import trace
 Operands = list[int]
 APPLIED = "applied"  # the input that the actuators apply
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
+TRANSLATED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
 
 
 def first_input(policy: Policy, plant: Plant) -> Array:
@@ -340,7 +340,7 @@ class TimeStep:
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
     """Return how each signal is encoded in the packets of a policy, by link and signal."""
-    LOWERED.check(policy.parts, network)
+    TRANSLATED.check(policy.parts, network)
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:
         if isinstance(step, Send):

@@ -23,7 +23,7 @@ from taciturn.base.certainty import certainty_policy, control_steps, design_cert
 from taciturn.base.filter import SEND
 from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
-from taciturn.base.receiver import Actuation
+from taciturn.base.route import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.silence import drops, send_for_given, total_excess

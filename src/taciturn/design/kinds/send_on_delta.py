@@ -23,7 +23,7 @@ from taciturn.base.certainty import (
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop, lqg_observer
 from taciturn.base.nominal import Nominal
-from taciturn.base.receiver import actuator_base, route_over
+from taciturn.base.route import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, FilteredSteps, errors_of_one, given_at_nodes, policy_of_loop

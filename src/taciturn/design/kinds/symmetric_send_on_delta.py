@@ -19,7 +19,7 @@ from taciturn._display import Displayed
 from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
-from taciturn.base.receiver import nonempty, sensor_base
+from taciturn.base.route import nonempty, sensor_base
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.dead_bands import errors_of_one, policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter

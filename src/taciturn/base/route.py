@@ -1,4 +1,6 @@
-"""The policy steps of the link over which a base sends: from the controller to the actuator, or from the sensor.
+"""Routes: the policy steps of the link over which a base sends, and the base of a given controller on each link.
+
+A route goes from the controller to the actuator, or from the sensor to the controller.
 
 The *choice* is what a packet carries: the input over the actuator link, the measurement over the sensor link. In
 silence, the receiver uses a *candidate* instead, its last value or the prediction of a model. The node that decides
