@@ -266,3 +266,11 @@ def test_the_names_of_the_catalogue_are_all_listed() -> None:
     """A new policy of the catalogue is one of these laws."""
     assert set(UNPROVED) <= set(DECIDING)
     assert set(PROVED) <= set(DECIDING)
+
+
+def test_a_link_that_sends_in_every_step_keeps_any_longest_interval() -> None:
+    """Also over a horizon: no interval follows its last step."""
+    links = {"sensor": {"loss": 0.2, "max_interval": 3}, "actuator": {"loss": 0.2, "acknowledged": True}}
+    problem = taciturn.load("lossy-double-integrator").changed({"network": None, "links": links})
+    assert problem.cost.horizon is not None
+    assert problem.design().network.links["sensor"].max_interval == 3

@@ -65,6 +65,7 @@ from taciturn.model.coverage import (
     TRACKING,
     uncovered,
 )
+from taciturn.model.link import IDEAL_LINK
 from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
@@ -387,7 +388,7 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     constants = any(ONE in read(step) for step in policy.steps)
     links = [link for link in loop.network.links if loop.network.loss(link) > 0]
     known = {
-        "limits of the intervals between sends (min_interval, max_interval) are given": INTERVALS,
+        f"limits of the intervals between sends ({', '.join(IDEAL_LINK.intervals)}) are given": INTERVALS,
         "the plant is not linear": FUNCTION,
         "inputs are clipped (input_limit)": LIMIT & {"plant.input_limit"},
         "the changes of the inputs are limited (input_rate)": LIMIT & {"plant.input_rate"},

@@ -657,10 +657,10 @@ def _expect_sets(step: Decide, sending: Mapping[str, Sequence[str]]) -> None:
 def _fixed(policy: Policy, send: Send, law: LinkLaw) -> bool:
     """Return whether packets of a link are sent at fixed steps, after a check that these keep the limits."""
     triggers = policy.decisions
-    chosen = ["always"] * 2 if send.on is None else fixed_choices(send.on, policy.locations, triggers)
+    horizon = None if policy.theory.cost is None else policy.theory.cost.horizon
+    chosen = ["always"] * (horizon or 2) if send.on is None else fixed_choices(send.on, policy.locations, triggers)
     if chosen is None:
         return False
-    horizon = None if policy.theory.cost is None else policy.theory.cost.horizon
     sending = chosen if send.on is None else send.sending(triggers[send.on].labels)
     ticks = [k for k, label in enumerate(chosen[:horizon]) if label in sending]
     gaps = [after - before for before, after in pairwise(ticks)]

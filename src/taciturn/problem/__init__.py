@@ -44,6 +44,7 @@ from taciturn.model.disturbance import Reference
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.limits import Limits
+from taciturn.model.link import IDEAL_LINK
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
@@ -225,7 +226,7 @@ class Problem(Displayed):
             check_network(policy, self.network)
         else:
             given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
-            policy.refuse(given | {"min_interval or max_interval": self.network.limited})
+            policy.refuse(given | {" or ".join(IDEAL_LINK.intervals): self.network.limited})
         return policy
 
     def close(self, policy: Policy) -> Loop:
