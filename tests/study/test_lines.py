@@ -76,6 +76,8 @@ def row(found: Evaluation, name: str) -> Estimate:
         (percent(0.116844794277, 2, error=1e-15), "11.68 %"),
         (rounded(14_102_855.0, 6, 1), "1.41029e+07"),
         (rounded(14_102.4, 5, 1), "14103"),
+        (rounded(14_102.4, 6, 1), "14103"),
+        (rounded(14_102.4, 6, -1), "14102"),
         (percent_above(Estimate(1.0772, 0.0022, "simulation"), 1.0), "+7.7 %"),
         (percent(float("inf"), 2), "inf %"),
         (percent_above(Estimate(0.99999999, 0.0, "exact"), 1.0), "0.00 %"),

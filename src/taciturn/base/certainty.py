@@ -40,6 +40,7 @@ from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain
 from taciturn.lqg.stored import Allowance, Apart, Proved, Stored, allowance, filter_loop
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
@@ -157,19 +158,11 @@ class CertaintyEquivalentDesign(Displayed):
             return None
         return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
-    def nominal(self, slower: float = 1.0, closed_form: ClosedForm | None = None) -> Nominal:
+    def nominal(self, slower: float = 1.0) -> Nominal:
         """Return the loop that sends every sample; a policy with its control may settle more slowly."""
         recovery = None if self.recovery is None else slower * self.recovery
-        return Nominal(
-            self.problem,
-            self.cost_all_time,
-            slower * self.settling,
-            self.error,
-            recovery,
-            self.estimation.innovations,
-            # the cost of jumps is known if the state is measured, or if it is in closed form
-            exact=closed_form is not None,
-        )
+        settling, innovations = slower * self.settling, self.estimation.innovations
+        return Nominal(self.problem, self.cost_all_time, settling, self.error, recovery, innovations)
 
     def completed_square(self) -> Identity:
         """Return the cost identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)], where σ is 1 at a send."""
@@ -283,9 +276,14 @@ def certainty_policy(
     if problem.instants and guarantee is not None:
         guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
     claims = Theory(
-        guarantee=guarantee, identity=identity, closed_form=closed_form, reset=reset, fixed_rates=fixed_rates
+        guarantee=guarantee,
+        identity=identity,
+        closed_form=closed_form,
+        reset=reset,
+        fixed_rates=fixed_rates,
+        covers=GAUSSIAN_THEORY if closed_form is None else THEORY,
     )
-    return certainty.nominal(slower, closed_form).policy(kind, steps, initial, claims, locations=locations, notes=notes)
+    return certainty.nominal(slower).policy(kind, steps, initial, claims, locations=locations, notes=notes)
 
 
 def steps_at_the_actuator(

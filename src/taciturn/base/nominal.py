@@ -15,7 +15,7 @@ from taciturn._display import Displayed
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import COLLOCATED
 from taciturn.lqg.discrete import Discrete
-from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
+from taciturn.model.coverage import THEORY
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
@@ -35,7 +35,6 @@ class Nominal(Displayed):
     recovery: float | None = None  # time constant in steps without slow disturbances; None if there are none
     innovations: Innovations | None = None  # white innovations of the filter
     disturbance: Disturbance | None = None  # the slow disturbance that a given controller compensates
-    exact: bool = False  # whether the claims hold for any white noise, also if the state is estimated
 
     def policy(
         self,
@@ -61,7 +60,8 @@ class Nominal(Displayed):
             settling=self.settling,
             recovery=self.recovery,
             innovations=self.innovations,
-            covers=claims.covers | (THEORY if self.exact or problem.plant.full_state else GAUSSIAN_THEORY),
+            # with a measured state, no estimate depends on the distribution of the noise
+            covers=claims.covers | THEORY if problem.plant.full_state else claims.covers,
         )
         return within_limits(
             Policy(

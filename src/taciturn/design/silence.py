@@ -54,7 +54,7 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.stored import controller_loop
 from taciturn.model.controller import AnyController, Controller
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -148,7 +148,7 @@ def send_for_given(
         cost_lqg=loop.cost_lqg,
         guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
-        covers=BURSTS if lossy else frozenset[str](),
+        covers=GAUSSIAN_THEORY | BURSTS if lossy else GAUSSIAN_THEORY,
         functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
         periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,

@@ -32,7 +32,7 @@ def remembered(compute: Callable[[*Args], Result], most: int = MOST) -> Callable
     def found(*given: *Args) -> Result:
         check_time()  # every design and every search for periodic control solves equations
         whole = cast("tuple[object, ...]", given)
-        args = [np.ascontiguousarray(cast("Array", a)) if isinstance(a, np.ndarray) else a for a in whole]
+        args = [np.asarray(cast("Array", a), order="C") if isinstance(a, np.ndarray) else a for a in whole]
         try:
             key = pickle.dumps(args, protocol=4)  # of later ones, the bytes of constant arrays differ
         except (pickle.PicklingError, AttributeError, TypeError):  # of a class that was made inside a function
