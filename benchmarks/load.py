@@ -1,6 +1,6 @@
 """One controller process serves many loops over loopback: how late, how many steps lost, how much of a processor.
 
-    python benchmarks/load.py [--loops 200] [--tick 0.01] [--ticks 1000] [--json OUT]
+    python benchmarks/load.py [--loops 200] [--tick 0.01] [--steps 1000] [--json OUT]
 
 This process plays all sensors and plants: it tells the measurements of every loop at absolute deadlines, and counts the
 packets that come back. What it costs itself is told next to, for both share the machine.
@@ -67,11 +67,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--loops", type=int, nargs="+", default=[20, 50, 100, 200])
     parser.add_argument("--tick", type=float, default=0.01)
-    parser.add_argument("--ticks", type=int, default=1000)
+    parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     machine = {"processors": os.cpu_count(), "python": platform.python_version(), "system": platform.system()}
-    rows = [serve(loops, given.tick, given.ticks) for loops in given.loops]
+    rows = [serve(loops, given.tick, given.steps) for loops in given.loops]
     for row in rows:
         print(json.dumps(row))
     if given.json:

@@ -29,7 +29,7 @@ DOCS = Path(__file__).parent
 def _digest() -> str:
     """Return a digest of all that the cells of a page may run or read, besides the page."""
     found = hashlib.sha256(sys.version.encode())
-    beside = (path for path in DOCS.iterdir() if path.suffix in (".py", ".json", ".c"))
+    beside = (path for path in DOCS.iterdir() if path.suffix in (".py", ".json", ".c", ".toml"))
     for path in sorted([*(DOCS.parent / "src").rglob("*"), *(DOCS.parent / "examples").glob("*.py"), *beside]):
         if path.is_file() and "__pycache__" not in path.parts:
             found.update(str(path.relative_to(DOCS.parent)).encode() + b"\0" + path.read_bytes() + b"\0")
@@ -57,6 +57,7 @@ nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 1200
 nb_merge_streams = True
+nb_code_prompt_show, nb_code_prompt_hide = "Show the code", "Hide the code"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Matrix", "Progress", "Term", "Terms")}

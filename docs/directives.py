@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
+from html import escape
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from docutils import nodes
-from kind_tables import kind_table
+from kind_tables import kind_table, problem_table
 from names import listing, mend, shorten, told
+from result_tables import key_table
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
@@ -19,10 +25,16 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
+    app.add_directive("cards", Cards)
+    app.add_directive("explorer", Explorer)
     app.add_directive("kinds", Kinds)
-    app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
+    app.add_directive("keys", Keys)
+    app.add_directive("problems", Problems)
+    app.connect("env-updated", lambda app, env: ["gallery", "index"])  # they show what the other pages are
     app.connect("doctree-read", _describe)
     app.connect("doctree-resolved", _collect)
+    app.connect("doctree-resolved", _picture_cards)
+    app.connect("build-finished", _save_explorers)
     app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
@@ -57,6 +69,41 @@ class Figures(SphinxDirective):
         return [nodes.container(classes=["gallery"])]
 
 
+class Cards(SphinxDirective):
+    """A card for each line ``page: Title. Sentence.``, with the first figure of the page."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Leave a place for the figures, until those pages are read."""
+        cards = nodes.container(classes=["cards"])
+        for line in self.content:
+            page, _, text = line.partition(": ")
+            title, _, sentence = text.partition(". ")
+            cards += nodes.container(
+                "", nodes.paragraph("", "", nodes.strong("", title)), nodes.paragraph("", sentence), page=page
+            )
+        return [cards]
+
+
+class Explorer(SphinxDirective):
+    """The page of ``taciturn explore`` for a problem with changed parameters, saved without a server."""
+
+    required_arguments = 1
+    optional_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """Show the page in a frame; it is saved when the manual is written."""
+        problem, *changes = " ".join(self.arguments).split()
+        name = f"explore-{'-'.join((problem, *changes)).replace('=', '-')}.html"
+        self.env.metadata[self.env.docname].setdefault("explorers", {})[name] = (problem, *changes)
+        page = escape(name)
+        label = escape(f"Explore {problem}: cost against traffic, with a point that moves along its curve")
+        frame = f'<iframe class="explorer" src="{page}" title="{label}" loading="lazy"></iframe>'
+        return [nodes.raw("", frame, format="html")]
+
+
 class Kinds(SphinxDirective):
     """A table of the policy kinds, from their records."""
 
@@ -67,8 +114,29 @@ class Kinds(SphinxDirective):
         return self.parse_text_to_nodes(kind_table(self.arguments[0]))
 
 
+class Problems(SphinxDirective):
+    """A table of the built-in problems, from their files."""
+
+    def run(self) -> list[nodes.Node]:
+        """Parse the table."""
+        return self.parse_text_to_nodes(problem_table())
+
+
+class Keys(SphinxDirective):
+    """A table of the keys of a JSON document, from the fields of its result."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Parse the table."""
+        return self.parse_text_to_nodes(key_table(self.arguments[0]))
+
+
 def _describe(app: Sphinx, tree: nodes.document) -> None:
-    """Give every figure of a code cell a text for readers who cannot see it: its section and the sentence before."""
+    """Give every figure of a code cell a text for readers who cannot see it: its section and the next text to it.
+
+    This is the last paragraph before the figure; in a section that begins with the figure, the first one after it.
+    """
     for image in tree.findall(nodes.image):
         if image.get("alt"):
             continue
@@ -76,8 +144,10 @@ def _describe(app: Sphinx, tree: nodes.document) -> None:
         while section.parent is not None and not isinstance(section, nodes.section):
             section = section.parent
         titles = [title.astext() for title in section.findall(nodes.title)][:1]
-        before = [text.astext() for text in section.findall(nodes.paragraph) if text.line and text.line <= _line(image)]
-        image["alt"] = " ".join(["Figure:", *titles, *(f"— {text}" for text in before[-1:])])[:300]
+        texts = [text for text in section.findall(nodes.paragraph) if text.line]
+        before = [text for text in texts if (text.line or 0) <= _line(image)]
+        nearest = before[-1:] or texts[:1]
+        image["alt"] = " ".join(["Figure:", *titles, *(f"— {text.astext()}" for text in nearest)])[:300]
 
 
 def _line(node: nodes.Node) -> int:
@@ -91,8 +161,49 @@ def _line(node: nodes.Node) -> int:
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
     for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
         for page in sorted(app.env.found_docs - {name}):
-            for image in app.env.get_doctree(page).findall(nodes.image):
+            for image in filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)):
                 place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+
+
+def _is_shown(image: nodes.image) -> bool:
+    """Tell whether a page shows an image; it leaves out the PNG of a picture that a cell also gives as an SVG."""
+    form = image.parent
+    return form.get("mime_type") != "image/png" or all(
+        other.get("mime_type") != "image/svg+xml" for other in form.parent
+    )
+
+
+def _picture_cards(app: Sphinx, tree: nodes.document, name: str) -> None:
+    """Put the first figure of its page into each card, and make the card a link."""
+    for cards in [node for node in tree.findall(nodes.container) if node["classes"] == ["cards"]]:
+        for card in list(cards.children):
+            assert isinstance(card, nodes.container)
+            page = card["page"]
+            image = next(iter(app.env.get_doctree(page).findall(nodes.image)), None)
+            if image is None:
+                raise ValueError(f"the page {page} has no figure for its card")
+            title, sentence = card.children
+            picture = image.deepcopy()
+            picture["alt"] = ""  # the title below it says it
+            link = {"refuri": app.builder.get_relative_uri(name, page), "internal": True}
+            card.clear()
+            card += nodes.reference("", "", picture, **link)
+            card += nodes.paragraph("", "", nodes.reference("", "", *title.children, **link))
+            card += sentence
+
+
+def _save_explorers(app: Sphinx, error: Exception | None) -> None:
+    """Save the pages of the explorer that the manual shows; one that is there is of the same library."""
+    if error is not None or app.builder.format != "html":
+        return
+    for page in app.env.found_docs:
+        for name, (problem, *changes) in app.env.metadata[page].get("explorers", {}).items():
+            kept = Path(app.config.nb_execution_cache_path) / name
+            if not kept.exists():
+                settings = [word for change in changes for word in ("--set", change)]
+                command = [sys.executable, "-m", "taciturn", "explore", problem, *settings, "--save", str(kept)]
+                subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            shutil.copyfile(kept, Path(app.outdir) / name)
 
 
 def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:

@@ -1,7 +1,8 @@
-"""The tables of the policy kinds, from the records of the kinds; needs no Sphinx."""
+"""The tables of the policy kinds from their records, and of the built-in problems from their files; needs no Sphinx."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from inspect import Parameter
 
@@ -9,7 +10,7 @@ from taciturn import problem
 from taciturn.analyse import switched
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
-from taciturn.design.kinds.distributed import MOST_SETS
+from taciturn.design.several_nodes import MOST_LINKS as MOST_SETS
 from taciturn.lqg import lossy
 from taciturn.model import cost, link, signals
 from taciturn.problem import matlab_and_numpy as matrices
@@ -27,6 +28,18 @@ KEPT = "those of its controller"
 def kind_table(name: str) -> str:
     """Return a table in Markdown, by its name in ``TABLES``."""
     return TABLES[name]([CATALOGUE[kind] for kind in own_kinds()])
+
+
+def problem_table() -> str:
+    """Return the built-in problems with what their files say of themselves, and their kinds."""
+    rows: list[tuple[str, str, str]] = []
+    for path in sorted(
+        (one for folder in problem.problem_folders() for one in folder.glob("*.toml")), key=lambda one: one.stem
+    ):
+        comment = re.match(r"(#.*\n)*", path.read_text(encoding="utf-8"))
+        said = " ".join(line.strip("# ") for line in (comment[0] if comment else "").splitlines())
+        rows.append((f"`{path.stem}`", re.split(r"[:.] ", said)[0].rstrip("."), f"`{problem.load(path.stem).kind}`"))
+    return _table(("name", "problem", "kind"), rows)
 
 
 def parameters(kinds: Sequence[Kind]) -> str:
@@ -72,7 +85,7 @@ def goals(kinds: Sequence[Kind]) -> str:
         (kind.goal, f"`{kind.name}`", kind.proved, kind.relative_to, ", ".join(f"`{key}`" for key in kind.sources))
         for kind in ordered
     ]
-    return _table(("goal", "kind", "proved result", "relative to", "[sources](sources.md)"), rows)
+    return _table(("goal", "kind", "proved result", "relative to", "[sources](help.md#sources)"), rows)
 
 
 def steps(kinds: Sequence[Kind]) -> str:
@@ -84,7 +97,7 @@ def steps(kinds: Sequence[Kind]) -> str:
 def limits(kinds: Sequence[Kind]) -> str:
     """Return the kinds with each limit."""
     told: dict[str, Callable[[Kind], bool]] = {
-        "no proved bound on the cost": lambda kind: kind.proved.startswith("no bound"),
+        "no proved bound on the cost": lambda kind: kind.proved.startswith("no guarantee"),
         "an exact measurement of the full state": lambda kind: "outputs" not in kind.plants,
         "a continuous plant": lambda kind: "discrete" not in kind.plants,
         "a discrete plant": lambda kind: "continuous" not in kind.plants,

@@ -52,7 +52,11 @@ def listing(entry: str) -> str:
 
 def told(value: object) -> str:
     """Return the first paragraph of the docstring of a value as Markdown."""
-    text = " ".join((inspect.getdoc(value) or "").split("\n\n")[0].split())
+    return marked(" ".join((inspect.getdoc(value) or "").split("\n\n")[0].split()))
+
+
+def marked(text: str) -> str:
+    """Return a text of a docstring as Markdown."""
     parts = LITERAL.split(text)
     parts[::2] = [re.sub(r"[|*_<]", r"\\\g<0>", part) for part in parts[::2]]
     return "".join(parts)
@@ -70,7 +74,7 @@ def mend(lines: list[str]) -> None:
         elif line and found[-1:] == [""] and not verbatim and not before.startswith(MARKUP):
             found += ["::", ""]
             verbatim = True
-        found.append(line if verbatim else SOURCE.sub(":doc:`Source <sources>`:", _escaped(line)))
+        found.append(line if verbatim else SOURCE.sub(":ref:`Source <sources>`:", _escaped(line)))
     lines[:] = found
 
 

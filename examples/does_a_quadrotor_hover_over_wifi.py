@@ -5,6 +5,7 @@ sends pitch torques back over Wi-Fi if silence would cost too much. In a step wi
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -31,6 +32,7 @@ networks = {
     "bursts": taciturn.Network("udp", actuator_burst=BURST, sensor_burst=BURST),
     "bursts, with acknowledgement": taciturn.Network("tcp", actuator_burst=BURST, sensor_burst=BURST),
 }
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes = figure.subplots()
 points: dict[str, list[tuple[float, float, float]]] = {}

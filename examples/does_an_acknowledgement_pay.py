@@ -3,6 +3,7 @@
 An acknowledgement reports to the controller that its input arrived, and costs as much as a packet with an input.
 """
 
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -30,6 +31,7 @@ for loss in losses:
         print(f"{loss:.0%} dropped, {name}: cost {result.cost}, {packets.value:.3f} packets per step, ", end="")
         print(f"total cost {found[-1]:.4f}, control cost guaranteed at most {policy.guarantee.cost:.4f}")
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes = figure.subplots()
 for index, (protocol, found) in enumerate(totals.items()):

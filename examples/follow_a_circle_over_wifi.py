@@ -1,6 +1,7 @@
 """How well does a robot follow a circle over Wi-Fi that drops packets, with event-triggered corrections?"""
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -28,6 +29,7 @@ for price in (0.0, 0.0003, 0.001, 0.003):
     assert policy.cost_all_time - slack <= found.cost.value <= bound + slack
     paths[price], rates = taciturn.simulate(loop, steps, seed=1), [*rates, sends.value]
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(6, 6), layout="constrained")
 axes = figure.subplots()
 axes.plot(*circle.T, "--", color="C7", label="reference")

@@ -5,6 +5,7 @@ The quadruple tank near its minimum-phase operating point, in cm and V: levels f
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -38,6 +39,7 @@ def tanks(limits: list[list[float]] | None, wander: float, leak: float | None = 
 
 cases = {"leak estimated, anti-windup": (LIMITS, 0.01), "leak estimated": (None, 0.01), "anti-windup": (LIMITS, 0.0)}
 rule = {"theta": 1.0, "prediction": "model", "actuation": "model"}
+rcParams.update(taciturn.style())
 upper, lower = (figure := Figure(figsize=(7, 5.5), layout="constrained")).subplots(2, 1, sharex=True)
 high, off, minutes = {}, {}, DT / 60 * np.arange(400)
 for name, (limits, wander) in cases.items():

@@ -6,11 +6,13 @@ controller sends only to a pump whose input must change. How does the battery li
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
 
 tank = taciturn.load("quadruple-tank")
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes = figure.subplots()
 for prediction in ("hold", "model"):

@@ -4,6 +4,7 @@ By radar alone these gains require a time gap of 3.16 s. Here the vehicle ahead 
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -44,6 +45,7 @@ def follow(limits: list[float], loss: float, replies: bool) -> tuple[float, floa
 
 fixed, changes = [[1e9] * k + [-1.0] for k in (1, 2, 4, 9)], [[d**2] for d in (0.08, 0.12, 0.2, 0.35)]
 rules = {"periodic": fixed, "on change": changes, "periodic, acknowledged": fixed, "on change, acknowledged": changes}
+rcParams.update(taciturn.style())
 axes, found = (figure := Figure(figsize=(7, 4.2), layout="constrained")).subplots(), {}
 for index, (name, limits) in enumerate(rules.items()):
     for loss in (0.0, LOSS)[index // 2 :]:  # without dropouts no acknowledgement is needed

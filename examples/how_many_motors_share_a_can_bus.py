@@ -6,6 +6,7 @@ the most urgent identifier and is sent first (walsh2002).
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -29,6 +30,7 @@ sampled = discretise(motor, taciturn.Cost(Q=np.diag([1.0, 0, 0]), R=[[1e-5]]), P
 cost = taciturn.Cost(sampled.Q, sampled.R, sampled.N)
 problem = taciturn.Problem(sampled.plant, cost, taciturn.Network(), "excess", {"delta": 1e-6, "actuation": "model"})
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes, most, in_turn = figure.subplots(), [], []
 for index, (bitrate, counts) in enumerate({125_000: (5, 6, 7, 8), 250_000: (10, 11, 13, 15, 16)}.items()):
@@ -36,7 +38,7 @@ for index, (bitrate, counts) in enumerate({125_000: (5, 6, 7, 8), 250_000: (10, 
     urgent, periodic, name = [], [], f"{bitrate / 1000:.0f} kbit/s"
     for motors in counts:
         shared = {"copies": motors, "capacity": capacity, "scheduler": "largest"}
-        found = taciturn.share_channel({"motor": problem}, **shared, ticks=2000, confidence=0)
+        found = taciturn.share_channel({"motor": problem}, **shared, steps=2000, confidence=0)
         urgent.append(found.cost.scaled(1 / found.cost_all_time))
         periodic.append(found.cost_periodic / found.cost_all_time)
         load = found.load.scaled(100 * BITS / (bitrate * PERIOD)).value

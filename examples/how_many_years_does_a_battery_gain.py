@@ -5,6 +5,7 @@ predicts from it. Periodic control would send every ten minutes. How long do two
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -42,13 +43,14 @@ clocks = [taciturn.design.periodic(model.plant, comfort, every=k, actuation="mod
 periodic = [policy.theory.closed_form.cost for policy in clocks]
 found = taciturn.tune(room, cost=periodic[1], standard_error=1e-4 * base)  # the comfort of sends every ten minutes
 rate = found.evaluation.rates["actuator"]
-path = taciturn.simulate(taciturn.close(model.plant, found.problem.design(), room.network, comfort), ticks=200_000)
+path = taciturn.simulate(taciturn.close(model.plant, found.problem.design(), room.network, comfort), steps=200_000)
 marks = float(np.mean((np.diff(np.flatnonzero(path.sends["actuator"])) - 1) // 33)) * rate.value  # --watchdog 100
 now, before = years(rate.value + marks), years(1 / 2)
 error = now - years(rate.value + marks + rate.standard_error)
 answer = f"Two AA cells last {now:.1f} years instead of {before:.1f}, at the same comfort"
 print(f"{answer}: {rate.scaled(CHECKS)} messages and {CHECKS * marks:.0e} marks of a silent sensor per hour")
 events = [taciturn.evaluate(room.changed({"delta": d}), steps=500_000) for d in (1e-5, 5e-5, 2e-4, 5e-4, 1e-3)]
+rcParams.update(taciturn.style())
 axes = (figure := Figure(figsize=(7, 4.2), layout="constrained")).subplots()
 axes.plot([years(1 / k) for k in every], np.array(periodic) / base, "o-", label="periodic, every 5, 10, … 30 minutes")
 lives = [years(each.rates["actuator"].value) for each in events]

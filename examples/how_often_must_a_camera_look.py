@@ -1,6 +1,7 @@
 """How often must a camera measure an inverted pendulum? Motor and controller are at the pivot, the camera is remote."""
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -23,6 +24,7 @@ for zeta in (0.0, 5e-5, 1e-4, 2e-4, 5e-4, 8e-4, 1.5e-3):  # price of a query, th
     print(f"ζ = {zeta:g}: {queries[-1]:.1f} queries per second cost {above:.1%} more than 50, guarantee {bound:.1%}")
 
 costs = [p.theory.closed_form.cost for p in policies]
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 6), layout="constrained")
 trade, course = figure.subplots(2, 1)
 trade.plot(queries, costs, "o-")

@@ -5,6 +5,7 @@ most 50 per second. Between packets the motor predicts them with a model. How ma
 """
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -40,6 +41,7 @@ rate, rate_error, above, error = events[2]
 enough = float(np.interp(1.2, periodic[:, 2], periodic[:, 0]))  # two intervals that alternate: the chord of their costs
 answer = f"A cart needs {rate:.0f} packets per second, under periodic control {enough:.0f}"
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes = figure.subplots()
 for name, found in (("periodic", periodic), ("event-triggered", events)):

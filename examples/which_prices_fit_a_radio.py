@@ -1,6 +1,7 @@
 """Which query price ζ and trigger threshold θ suit a radio with three packets every two steps, both ways together?"""
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -19,6 +20,7 @@ chosen = found.isel(best)
 theta, zeta = chosen.theta.item(), chosen.zeta.item()
 print(f"θ = {theta:.3g}, ζ = {zeta:.3g}: {packets.isel(best).item():.3f} packets, cost {chosen.cost.item():.4f}")
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(6, 4), layout="constrained")
 axes = figure.subplots()
 drawn = axes.pcolormesh(found.zeta, found.theta, found.cost, shading="nearest")
@@ -26,6 +28,7 @@ figure.colorbar(drawn, label="cost per step")
 axes.contour(found.zeta, found.theta, packets, levels=[BUDGET], colors="white")
 axes.plot(zeta, theta, "r*", markersize=14)
 axes.set(xlabel="ζ, price of a query", ylabel="θ, trigger threshold", yscale="log")
+axes.grid(visible=False)
 figure.savefig("which_prices_fit_a_radio.svg")
 
 # compute the best cell again, with its seed from the sweep

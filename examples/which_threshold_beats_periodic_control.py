@@ -1,6 +1,7 @@
 """Which threshold costs less than periodic control? Three triggers for an unstable platform pushed by gusts."""
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.figure import Figure
 
 import taciturn
@@ -14,6 +15,7 @@ plant = taciturn.ContinuousPlant(A=[[0.0, 1.0], [1.0, -0.2]], B=[[0.0], [1.0]], 
 cost = taciturn.Cost(Q=[[4.0, 0.0], [0.0, 0.1]], R=[[0.5]])
 price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
 
+rcParams.update(taciturn.style())
 figure = Figure(figsize=(7, 4.5), layout="constrained")
 axes = figure.subplots()
 rates = np.geomspace(0.4, 6, 60)

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Generator, Iterator
 from datetime import date
+from typing import Any
 
 import pytest
 from counts import RUN
@@ -127,6 +128,17 @@ def kernel() -> None:
             pass
     except ProblemError as error:
         pytest.skip(f"{NOT_SHOWN}: kernel loss; {error}")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a browser; skip, so that nobody overlooks it, where there is none."""
+    from twin.browser import browse, missing  # most tests look at no page
+
+    if lacks := missing():
+        pytest.skip(f"{NOT_SHOWN}: a page in a browser; {lacks}")
+    with browse() as found:
+        yield found
 
 
 @pytest.fixture(autouse=True)

@@ -47,8 +47,8 @@ DEFECTS = {
     ),
     "start values have the order of a set": Planted(
         "base/given_controller.py",
-        'names = [name for name in ("command", HELD, "input") if name in signals]',
-        'names = list({"command", HELD, "input"} & signals)',
+        'for name in ("command", HELD, "input")',
+        'for name in {"command", HELD, "input"}',
     ),
     "one link that is heard is enough for the watchdog": Planted(
         "nodes/node.py",

@@ -39,7 +39,7 @@ PATTERNS = {  # of a sentence: what it should do instead
     r"^(?:What|Who|Whoever|Whatever)\b": "name the actor",
     r"^Of (?:a|an|the|this|these|those|several|all|its|each|every|such|one|two|what)\b": "put the subject first",
 }
-NOT_OURS = {"THIRD_PARTY.md", "sources.md"}  # licences and titles
+NOT_OURS = {"THIRD_PARTY.md"}  # licences
 ANY = re.compile("|".join(TERMS), re.IGNORECASE)
 FRAMED = re.compile("|".join(PATTERNS))
 EXCEPT = {  # (files, the pattern's suggestion): why
@@ -48,6 +48,7 @@ EXCEPT = {  # (files, the pattern's suggestion): why
     ("src/taciturn_export/*.py", "periodic (time-triggered) control"): "C source with a member of this name",
     ("src/taciturn_udp/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
     ("src/taciturn_worlds/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
+    ("src/taciturn_explore/recorded_*.py", "periodic (time-triggered) control"): "clocks of machines, as in worlds",
     ("src/taciturn_export/*.py", "finite-horizon run"): "a template with a placeholder of this name",
     ("src/taciturn/program/llvm.py", "step, or sampling instant"): "source in LLVM's language with labels of this name",
 }

@@ -142,10 +142,10 @@ def test_the_message_says_whether_a_marginal_mode_affects_the_cost(seen: bool, d
     if not seen:
         Q[:2, :2] = np.outer(inverse[1], inverse[1])
     B, R, N = np.array([[0.0], [0.0], [1.0]]), np.eye(1), np.zeros((3, 1))
-    with pytest.raises(UnstableError, match="and affects the cost" if seen else "does not affect the cost, but it is"):
+    with pytest.raises(UnstableError, match="and affects the cost" if seen else "does not affect the cost, and is a"):
         regulate(A, B, Q, R, N, discount)
     if discount == 1:
-        said = "noise W reaches it; expected" if seen else "noise W does not reach it, but it is a combination"
+        said = "noise W reaches it; expected" if seen else "noise W does not affect it, and it is a combination"
         with pytest.raises(UnstableError, match=said):
             steady_filter(A.T, B.T, Q, R)
 
@@ -181,7 +181,7 @@ def test_a_mode_is_named_with_the_digits_that_tell_it_from_the_limit():
     assert str(Limit(False, 0.81)).endswith("= 1.11111")
     with pytest.raises(UnstableError, match=r"eigenvalue 1\.1111111\d, .* 1/√discount = 1\.11111111 must be"):
         regulate(np.diag([inner + 1e-8, 2.0]), [[0], [1]], np.eye(2), np.eye(1), np.zeros((2, 1)), 0.81)
-    with pytest.raises(ProblemError, match=r"the mode at 1\.0000002, which grows"):
+    with pytest.raises(ProblemError, match=r"the growing mode with the eigenvalue 1\.0000002"):
         Plant(np.diag([1 + 2e-7, 0.5]), [[0.0], [1.0]], np.eye(2))
     assert "unstable: 1.000002, 0.5" in str(Plant(np.diag([1 + 2e-6, 0.5]), [[1.0], [1.0]], np.eye(2)))
 
@@ -245,7 +245,9 @@ def test_a_rounded_rotation_stays_and_one_that_grows_is_refused():
     B = np.array([[0.0], [0.0], [1.0]])
     assert unmoved(turn, B, CIRCLE).growing.size
     Plant(turn, B, still)
-    with pytest.raises(ProblemError, match=r"no input can move the mode at 0\.877583\+0\.479426i, which grows"):
+    with pytest.raises(
+        ProblemError, match=r"no input affects the growing mode with the eigenvalue 0\.877583\+0\.479426i"
+    ):
         Plant((1 + 1e-9) * turn, B, still)
 
 

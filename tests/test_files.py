@@ -35,6 +35,7 @@ TABLES = {
 SOURCE = Path(taciturn.__file__).parent.parent
 OWN = {  # files that the library itself wrote or contains, or of the operating system
     "bench.py": "/proc/cpuinfo",
+    "bundle.py": "files of pages of this package",
     "cortex.py": "C files of this package",
     "devices.py": "C files of this package",
     "fmu.py": "C files of this package",
@@ -45,7 +46,7 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "namespaces.py": "/proc",
     "without_file.py": "a problem of the process that started this one",
     "rover.py": "models of this package",
-    "server.py": "pages of this package",
+    "guard.py": "files of pages of this package",
     "workers.py": "Python files of this package",
     "steps.py": "logs of processes that it started",
     "matlab_and_numpy.py": "after check_regular, by the libraries of these formats",

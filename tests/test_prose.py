@@ -14,6 +14,12 @@ def test_sentences_use_the_terms_of_the_field(path: Path) -> None:
     assert not list(prose.faults(path))
 
 
+def test_no_line_is_lost_as_a_comment() -> None:
+    """The manual takes a line that begins with a percent sign as a comment, also the second line of a sentence."""
+    for path in (prose.ROOT / "README.md", *(prose.ROOT / "docs").glob("*.md")):
+        assert not [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("%")], path
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from test_house import FLOORS
 
 import taciturn
-from taciturn._figure import Panel, Series, draw
+from taciturn._figure import Band, Panel, Series, draw
+from taciturn._style import SIGNALS, STYLES, THINGS, StyleName
 from taciturn_thesis.reproduce import CHAPTERS
 
 ROOT = Path(__file__).parent.parent
@@ -82,7 +84,7 @@ def test_the_page_of_benchmarks_names_every_file() -> None:
     text = (DOCS / "performance.md").read_text(encoding="utf-8")
     for path in (ROOT / "benchmarks").iterdir():
         assert path.is_dir() or f"{path.name}" in text
-    written = re.findall(r"--json docs/(\w+\.json)", text)
+    written = re.findall(r"\| `(\w+\.json)` \|", text)
     others = {"misra.json"}  # which no benchmark writes
     assert sorted(written) == sorted({path.name for path in DOCS.glob("*.json")} - others)
 
@@ -104,9 +106,9 @@ def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
 @pytest.mark.parametrize(
     ("words", "page"),
     [
-        ("accuracy", "numerics"),
+        ("accuracy", "limits"),
         ("anti-windup", "constraints"),
-        ("citation", "cite"),
+        ("citation", "help"),
         ("feedforward", "set-points"),
         ("integral action", "set-points"),
         ("limitations", "limits"),
@@ -133,3 +135,43 @@ def test_a_figure_shows_itself_in_a_notebook() -> None:
     """Also where pyplot was never imported; and it can still be copied to another process."""
     figure = pickle.loads(pickle.dumps(draw([Panel([Series([0.0, 1.0], [1.0, 0.0])], "x", "y")])))
     assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_picture_on_a_page_has_the_colours_that_the_reader_prefers() -> None:
+    """Every colour of the light style is a variable with a value for dark pages."""
+    panel = Panel([Series([0.0, 1.0], [1.0, 0.0], "one", thing="policy")], "x", "y", bands=[Band(None, 0.5)])
+    light, dark = STYLES["light"], STYLES["dark"]
+    svg = draw([panel])._repr_svg_()
+    for hue in ("blue", "ink", "muted", "shade", "grid"):
+        plain = light.hues[hue]
+        assert f"fill: var(--c{plain[1:]})" in svg or f"stroke: var(--c{plain[1:]})" in svg
+        assert f": {plain}" not in svg
+        assert f"--c{plain[1:]}:{dark.hues[hue]};" in svg.partition("prefers-color-scheme: dark")[2]
+    assert f"fill: var(--c{light.background[1:]})" in svg
+    assert "var(" not in draw([panel], style="dark")._repr_svg_()
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_every_colour_stands_out_from_its_background(name: StyleName) -> None:
+    """By the contrast ratio of the WCAG: 3 to 1 for lines and marks, 4.5 for text; regions and grids are quiet."""
+    style = STYLES[name]
+
+    def luminance(color: str) -> float:
+        parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+    def contrast(color: str) -> float:
+        low, high = sorted((luminance(color), luminance(style.background)))
+        return (high + 0.05) / (low + 0.05)
+
+    quiet = {"shade", "forbidden", "grid", "box", "hub"}
+    assert all(contrast(color) >= 3 for hue, color in style.hues.items() if hue not in quiet)
+    assert min(contrast(style.hues["ink"]), contrast(style.hues["muted"])) >= 4.5
+    assert all(contrast(style.hues[hue]) < 1.6 for hue in quiet)
+
+
+def test_no_two_things_look_the_same() -> None:
+    """In grey, too: colours apart, no two things have one dash, marker and width."""
+    for looks in ([*THINGS.values()], [*SIGNALS]):
+        assert len({(one.dash, one.marker, one.width, one.hue == "shade") for one in looks}) == len(looks)

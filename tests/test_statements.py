@@ -26,7 +26,7 @@ def page(name: str) -> str:
 
 def test_the_kinds_that_other_tools_are_compared_with_are_counted() -> None:
     """All of the catalogue, by what decides when they send."""
-    text = page("other-tools")
+    text = page("comparison")
     found = re.search(
         r"has (\d+) kinds: these (\d+), the (\d+) of the next line, and (\d+) time-triggered ones \(([^)]*)\)", text
     )
@@ -54,9 +54,35 @@ def test_the_tables_of_the_kinds_name_all_of_them_and_no_other() -> None:
     assert "100,000" in kind_table("sizes")
 
 
+def test_the_tables_of_json_keys_describe_each_key_that_is_printed() -> None:
+    """Of the documents of evaluate, also with a given controller and limits, and of certify."""
+    from result_tables import meanings
+
+    from taciturn.study.evaluation import Evaluation
+    from taciturn_certify.certify import Certificates
+
+    told = meanings(Evaluation)
+    assert all(len(text) > 8 for text in [*told.values(), *meanings(Certificates).values()])
+    for problem in (load("pid-tank"), load("two-mass").changed({"plant.input_limit": [1.0]})):
+        assert set(taciturn.evaluate(problem, steps=4096).document()) <= set(told)
+    assert "absent if no input has a limit" in told["without_limits"]
+
+
+def test_the_table_of_built_in_problems_says_what_each_is() -> None:
+    """With its kind; a file without a comment at its head would have an empty cell."""
+    from kind_tables import problem_table
+
+    _, _, *rows = problem_table().splitlines()
+    cells = [[cell.strip(" `") for cell in row.strip("|").split("|")] for row in rows]
+    assert ["pid-tank", "excess"] in [[name, kind] for name, _, kind in cells]
+    assert all(len(said.split()) > 4 for _, said, _ in cells)
+
+
 def test_limits_of_the_kinds_are_stated_only_by_their_records() -> None:
-    """The page itself names hardly any kind, so that nothing there can be out of date."""
+    """The page itself names hardly any kind before the proofs, so that nothing there can be out of date."""
     prose = re.sub(r"```.*?```", "", (DOCS / "limits.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    prose, proofs, _ = prose.partition("## Proofs of errors")
+    assert proofs
     assert {word for word in re.findall(r"`([a-z-]+)`", prose) if word in CATALOGUE} == {"lossy-lqg"}
 
 
@@ -73,21 +99,25 @@ def test_losses_that_are_acknowledged_are_covered_as_the_pages_say() -> None:
     assert not unheard.close(unheard.designed()).nominal
 
 
-def test_the_first_row_of_the_readme_is_what_the_command_prints() -> None:
-    """The rate and both percentages of the caption, as evaluate gives them."""
-    caption = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    found = taciturn.evaluate(load("two-mass"), steps=2_000_000)
+def test_the_caption_of_the_readme_is_what_the_problem_gives() -> None:
+    """The rate and the percentages, as evaluate gives them; the landing page has the same numbers."""
+    caption, landing = (
+        " ".join(path.read_text(encoding="utf-8").split()) for path in (ROOT / "README.md", DOCS / "index.md")
+    )
+    found = taciturn.evaluate(load("pid-tank").changed({"theta": 0.8}))
     base = found.cost_all_time
     assert base is not None
     assert found.clock is not None
-    assert found.cost_bound is not None
     assert found.cost_bound_at_rate is not None
-    assert f"sending {100 * found.rates['actuator'].value:.1f} % of the samples" in caption
-    assert f"costs {100 * (found.cost.value / base - 1):.1f} % more than sending every sample" in caption
-    assert f"provably at most {100 * (found.cost_bound_at_rate / base - 1):.1f} % more" in caption
-    assert f"(at any rate: {100 * (found.cost_bound / base - 1):.1f} %)" in caption
-    assert f"same actuator costs {100 * (found.clock.cost / base - 1):.1f} % more" in caption
-    assert "No schedule of this controller reaches the grey region (99.9 % sure)" in caption
+    rate, more = f"{100 * found.rates['actuator'].value:.1f} %", f"{100 * (found.cost.value / base - 1):.2f} %"
+    periodic = f"{100 * (found.clock.cost / base - 1):.1f} %"
+    assert f"Sending only {rate} of the packets costs on average {more} more than sending every sample" in caption
+    assert f"(proven: at most {100 * (found.cost_bound_at_rate / base - 1):.1f} % more)" in caption
+    assert f"with the same number of packets costs {periodic} more than sending every sample" in caption
+    assert f"**{rate}** of the packets" in landing
+    assert f"**+{more}** cost" in landing
+    assert f"**+{periodic}** cost of periodic control" in landing
+    assert "taciturn simulate pid-tank --set theta=0.8" in caption
 
 
 def test_a_benchmark_runs_the_command_that_it_names() -> None:

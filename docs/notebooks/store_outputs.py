@@ -14,4 +14,6 @@ for path in sorted(Path(__file__).parent.glob("*.ipynb")):
         record_timing=False,
         resources={"metadata": {"path": str(path.parent)}},
     ).execute()
+    for output in [one for cell in notebook.cells for one in cell.get("outputs", [])]:
+        output.get("data", {}).pop("image/svg+xml", None)  # PNG is smaller
     nbformat.write(notebook, path)

@@ -40,11 +40,13 @@ _HOME = {
     "load": "problem",
     "plant_from": "model.state_space",
     "simulate": "simulation.trajectory",
+    "style": "_style",
 }
 _ADDED = "taciturn.functions"  # entry points of functions that packages beside this one add, such as taciturn.sweep
 _BESIDE = (
     "certify",
     "compare",
+    "explore",
     "export_c",
     "export_fmu",
     "from_control",

@@ -1,6 +1,7 @@
 """The public names and their types, for type checkers and editors; ``__init__.py`` imports each when it is used."""
 
 from taciturn import design as design
+from taciturn._style import style as style
 from taciturn.errors import ProblemError as ProblemError
 from taciturn.errors import TaciturnError as TaciturnError
 from taciturn.errors import UnstableError as UnstableError
@@ -36,6 +37,7 @@ from taciturn_certify.certify import certify as certify
 from taciturn_channel.share import share_channel as share_channel
 from taciturn_control.systems import from_control as from_control
 from taciturn_control.systems import to_control as to_control
+from taciturn_explore.notebook import explore as explore
 from taciturn_export.export import export_c as export_c
 from taciturn_export.export import export_fmu as export_fmu
 from taciturn_studies.compare import compare as compare

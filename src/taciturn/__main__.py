@@ -1,4 +1,4 @@
-"""The command line as ``python -m taciturn``."""
+"""Entry point of ``python -m taciturn``, which runs the command line."""
 
 from taciturn.cli.frame import main
 

@@ -1,6 +1,10 @@
-"""Checks of arguments: shape, finiteness, symmetry and definiteness of arrays; checked arrays are read-only.
+"""Checks of arguments: shape, finiteness, symmetry and definiteness of arrays. The checked arrays are read-only.
 
 All classes of the model check their arguments here, so that messages are alike: a name, its value, the expected one.
+
+A number is a vector or matrix with one entry. Every other array has the number of dimensions that is expected:
+a list of numbers is no matrix, since it could be a row, a column or a diagonal. The message shows the given numbers in
+the expected form, ``[[0.005], [0.1]]`` for a B of two states, and names the row that differs from the first one.
 
 An array must be finite together with the squares of its entries, because costs and covariances contain squares.
 
@@ -14,6 +18,7 @@ and is cheaper than eigenvalues. Entries m_ij and m_ji may differ by 1e-9 of the
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from numbers import Integral, Real
@@ -31,12 +36,16 @@ Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
 NO_VARIANCE = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
+FORM = "[[0.9, 0.1], [0.0, 0.8]]"  # a matrix as a list of rows, in messages
+LONGEST_FORM = 16  # entries of a matrix that a message shows in the expected form
 _DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
 _ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
 
 def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only finite float array of ``shape`` (None: any size).
+    """Convert ``value`` to a read-only array of floats with finite entries. Check that it has the shape ``shape``.
+
+    None in ``shape`` accepts any size. A number is accepted as an array with one entry.
 
     Raises:
         ProblemError: the value is not numeric, not finite, or of another shape.
@@ -46,26 +55,30 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
         turned = zip(result.T.shape, shape, strict=False)
         transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
         hint = ". Did you pass its transpose?" if transposed else ""
-        raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
+        given = f"has shape {np.shape(value)}" if np.ndim(value) else f"is {result.item():g}"
+        form = _form(result, np.ndim(value), shape, meaning)
+        raise ProblemError(f"{name} {given}; expected the shape {_shape_text(shape, meaning)}{form}{hint}")
     if not math.isfinite(np.vdot(result, result)):
         infinite = ~np.isfinite(result)
         wrong = infinite if infinite.any() else np.abs(result) == np.abs(result).max()
         where = tuple(int(i) for i in np.argwhere(wrong)[0])
         expected = "finite numbers" if infinite.any() else "numbers with finite squares: use larger units"
-        raise ProblemError(f"{name} contains {result[where]} at index {where}; expected {expected}")
+        raise ProblemError(
+            f"{name} contains the number {result[where]} at index {where}; expected an array of {expected}"
+        )
     result.setflags(write=False)
     return result
 
 
 def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only finite square matrix."""
+    """Convert ``value`` to a read-only array. Check that it is a square matrix with finite entries."""
     result = array(name, value, (None, None), meaning)
     rows, columns = result.shape
     return result if rows == columns else array(name, value, (rows, rows), meaning)
 
 
 def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric matrix."""
+    """Convert ``value`` to a read-only array. Check that it is a symmetric matrix."""
     result = array(name, value, (size, size), meaning)
     if np.array_equal(result, result.T):
         return result
@@ -83,7 +96,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
 
 
 def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric positive semidefinite matrix."""
+    """Convert ``value`` to a read-only array. Check that it is a symmetric positive semidefinite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
     if exceeds(scaled, -_DEFINITENESS_TOLERANCE):
@@ -98,7 +111,7 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
 
 
 def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric positive definite matrix."""
+    """Convert ``value`` to a read-only array. Check that it is a symmetric positive definite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
     if exceeds(scaled, _DEFINITENESS_TOLERANCE):
@@ -113,12 +126,12 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 
 def is_definite(matrix: Array) -> bool:
-    """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
+    """Check whether a symmetric matrix is positive definite. The units of its variables do not affect the result."""
     return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), _DEFINITENESS_TOLERANCE)
 
 
 def exceeds(matrix: Array, bound: float) -> bool:
-    """Return whether all eigenvalues of a symmetric matrix are above a bound, by a Cholesky factorisation."""
+    """Check whether all eigenvalues of a symmetric matrix exceed a bound, by a Cholesky factorisation."""
     rest = matrix.copy()
     rest.flat[:: len(rest) + 1] -= bound
     try:
@@ -129,7 +142,9 @@ def exceeds(matrix: Array, bound: float) -> bool:
 
 
 def number(name: str, value: object, low: float = -np.inf, high: float = np.inf, *, closed: bool = False) -> float:
-    """Return ``value`` as a finite float in the open (or, on request, closed) interval from ``low`` to ``high``.
+    """Convert ``value`` to a float, and check that it is finite and lies between ``low`` and ``high``.
+
+    The endpoints are excluded unless ``closed`` is true.
 
     Raises:
         ProblemError: the value is not a number, not finite, or outside the interval.
@@ -149,42 +164,44 @@ def number(name: str, value: object, low: float = -np.inf, high: float = np.inf,
 
 
 def count(name: str, value: object, least: int = 1) -> int:
-    """Return ``value`` as an integer that is at least ``least``.
+    """Convert ``value`` to an integer, and check that it is not smaller than ``least``.
 
     Raises:
         ProblemError: the value is not an integer, or is too small.
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise ProblemError(f"{name} is {quoted(value)}; expected a whole number, at least {least}")
+        raise ProblemError(f"{name} is {quoted(value)}; expected a whole number of at least {least}")
     return int(value)
 
 
 def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
-    """Return ``value`` if it is one of the allowed words.
+    """Check that ``value`` is one of the allowed words, and return it.
 
     Raises:
         ProblemError: the value is another word.
     """
     if value not in allowed:
-        raise ProblemError(f"{name} is {quoted(value)}; expected one of {', '.join(repr(word) for word in allowed)}")
+        raise ProblemError(
+            f"{name} is {quoted(value)}; expected one of the words {', '.join(repr(word) for word in allowed)}"
+        )
     return value
 
 
 def set_fields(made: object, values: Mapping[str, object]) -> None:
-    """Set checked values of an instance of a frozen class."""
+    """Set the fields of an instance of a frozen dataclass to values that have been checked."""
     for name, value in values.items():
         object.__setattr__(made, name, value)
 
 
 def flag(name: str, value: object) -> bool:
-    """Return ``value`` if it is True or False."""
+    """Check that ``value`` is True or False, and return it."""
     if not isinstance(value, bool):
         raise ProblemError(f"{name} is {quoted(value)}; expected true or false")
     return value
 
 
 def instance(name: str, value: object, *kinds: type) -> None:
-    """Check that a value is an instance of one of the types.
+    """Check that a value is an instance of one of the given types.
 
     Raises:
         ProblemError: the value is not an instance of any of the types.
@@ -195,19 +212,19 @@ def instance(name: str, value: object, *kinds: type) -> None:
 
 
 def frozen(value: Array) -> Array:
-    """Return a read-only copy of an array."""
+    """Copy an array to a new read-only array of floats."""
     result = np.array(value, dtype=np.float64)
     result.setflags(write=False)
     return result
 
 
 def symmetrised(matrix: Array) -> Array:
-    """Return the symmetric part of a matrix, or of each matrix in a stack, to remove rounding errors."""
+    """Compute (X + X')/2 for a matrix X, or for each matrix in a stack, so that rounding errors leave it symmetric."""
     return (matrix + matrix.swapaxes(-1, -2)) / 2
 
 
 def block_diagonal(*blocks: Array) -> Array:
-    """Return the block-diagonal matrix of these blocks."""
+    """Combine matrices into one block-diagonal matrix."""
     result = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
     row, column = 0, 0
     for block in blocks:
@@ -218,7 +235,7 @@ def block_diagonal(*blocks: Array) -> Array:
 
 
 def quoted(value: object) -> str:
-    """Return the representation of a value for an error message, shortened to 60 characters."""
+    """Write a value as text for an error message, shortened to 60 characters."""
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # an integer with more than 4300 digits
@@ -231,9 +248,11 @@ def _fits(got: tuple[int, ...], shape: Shape) -> bool:
 
 
 def expect_unmasked(name: str, value: object) -> None:
-    """Raise a ``ProblemError`` if entries of an array are masked, of which NumPy would return the hidden numbers."""
+    """Raise ``ProblemError`` if an array has masked entries, because NumPy would compute with the masked numbers."""
     if _masked(value):
-        raise ProblemError(f"{name} has masked entries; expected a number in each: fill them, or leave them out")
+        raise ProblemError(
+            f"{name} has masked entries; expected a number in every entry: fill the masked entries, or leave them out"
+        )
 
 
 def _masked(value: object) -> bool:
@@ -252,12 +271,62 @@ def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
         given = np.asarray(value)
         if given.dtype.kind not in "biufO":  # NumPy would parse text and drop imaginary parts
             raise TypeError(f"it contains {given.dtype.type.__name__.strip('_')} values")
-        return np.array(given, dtype=np.float64)
+        numbers = np.array(given, dtype=np.float64)
+        return numbers if numbers.ndim else numbers.reshape((1,) * len(shape))
     except (TypeError, ValueError, OverflowError) as error:
         expected = _shape_text(shape, meaning)
         if "inhomogeneous" in str(error):
-            raise ProblemError(f"{name} is ragged: its rows differ in length; expected the shape {expected}") from None
-        raise ProblemError(f"{name} is not an array of numbers ({error}); expected the shape {expected}") from None
+            raise ProblemError(
+                f"{name} has rows of different lengths: {_uneven(value)}; expected rows of equal length, such as {FORM}"
+            ) from None
+        raise ProblemError(
+            f"{name} is not an array of numbers ({error}); expected an array of the shape {expected}"
+        ) from None
+
+
+def _uneven(value: object) -> str:
+    """Return the clause about the first row of nested lists whose length differs from that of the first row."""
+    rows = cast("Sequence[Any]", value)
+    sizes = [len(cast("Any", row)) if isinstance(row, Sequence | np.ndarray) else None for row in rows]
+    row = next((i for i, size in enumerate(sizes) if size != sizes[0]), None)
+    if row is None:
+        return "lists within its rows differ in length"
+    first, here = (
+        f"row {i + 1} is {quoted(rows[i])}"
+        if size is None
+        else f"row {i + 1} has {size} entr{'y' if size == 1 else 'ies'}"
+        for i, size in ((0, sizes[0]), (row, sizes[row]))
+    )
+    return f"{here}, and {first}"
+
+
+def _form(given: Array, dimensions: int, shape: Shape, meaning: str) -> str:
+    """Return the given numbers in the expected form, as the end of a message, or any matrix if it is unclear."""
+    if dimensions == len(shape) or len(shape) not in (1, 2) or not given.size:
+        return ""
+    numbers, found = given.ravel(), None
+    rows, columns = (shape[0], shape[-1])
+    if len(shape) == 2 and rows == columns and (rows or len({*re.findall(r"[a-z]+(?: [a-z]+)*", meaning)}) == 1):
+        side = math.isqrt(numbers.size)
+        size = rows or (side if side * side == numbers.size else numbers.size)
+        if numbers.size in (1, size):
+            found = np.diag(np.broadcast_to(numbers, size))
+        elif numbers.size == size * size:
+            found = numbers.reshape(size, size)
+    elif dimensions == 0 and None not in shape:
+        found = np.full(cast("tuple[int, ...]", shape), numbers[0])
+    elif dimensions:
+        forms = [numbers] if len(shape) == 1 else [numbers[:, None], numbers[None]]
+        fitting = [one for one in forms if _fits(one.shape, shape)]
+        found = fitting[0] if len(fitting) == 1 else None
+    if found is None or found.size > LONGEST_FORM:
+        return f", such as {FORM}" if len(shape) == 2 else ""
+    return f", such as {_list_text(found)}"
+
+
+def _list_text(value: Array) -> str:
+    parts = (f"{entry:g}" for entry in value) if value.ndim == 1 else map(_list_text, value)
+    return f"[{', '.join(parts)}]"
 
 
 def _in_units(matrix: Array) -> Array:
@@ -292,7 +361,7 @@ def _shape_text(shape: Sequence[int | None], meaning: str) -> str:
 
 
 def pushed(F: Array, X: Array, power: int) -> Array:
-    """Return the moment F⊗…⊗F X of F z, given the moment X of z as an array of ``power`` indices, the last ones."""
+    """Compute a moment of the vector F z from the moment ``X`` of z; the last ``power`` indices of X are those of z."""
     for axis in range(X.ndim - power, X.ndim):
         X = np.moveaxis(np.tensordot(X, F, (axis, 1)), -1, axis)
     return X

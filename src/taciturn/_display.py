@@ -1,11 +1,14 @@
-"""Display of objects: one line in Python and a small table in a notebook, from the same rows."""
+"""Display of objects: as one line of text in Python and as a small table in a notebook, with the same values."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any, cast
+
+from taciturn.errors import TaciturnError
 
 LONGEST = 200  # largest number of characters in a line
 _SHORT = 60  # largest number of characters of one value in a line
@@ -16,7 +19,7 @@ _STYLE = "text-align: left; vertical-align: top"
 
 
 class Displayed:
-    """Base class of objects with a ``repr`` of at most 200 characters and a table for notebooks.
+    """Base class of objects with a short ``repr`` (at most 200 characters) and with a table for notebooks.
 
     A dataclass is declared with ``repr=False``. It overrides ``summary`` if its fields are not suitable for readers,
     with the most important values first, since a long line is cut at its end. It overrides ``short`` if a few words are
@@ -24,12 +27,14 @@ class Displayed:
     """
 
     def summary(self) -> Mapping[str, object]:
-        """Return the displayed values by name; by default, the fields."""
+        """Return the names and values that represent the object. If a class does not redefine this, it shows all
+        fields.
+        """
         found: Any = self
         return {field.name: getattr(self, field.name) for field in fields(found)}
 
     def short(self) -> str:
-        """Return a few words that represent this object inside another one."""
+        """Describe this object in a few words, for the display of another object that contains it."""
         return type(self).__name__
 
     def __repr__(self) -> str:
@@ -41,21 +46,34 @@ class Displayed:
         return f"{name}({', '.join(parts)})"
 
     def html(self) -> str:
-        """Return the HTML table of names and values that a notebook shows."""
+        """Write the table of names and values, as HTML, that a notebook shows for this object."""
         return html_pairs(type(self).__name__, self.summary())
 
     def _repr_html_(self) -> str:
-        return self.html()
+        """Return the display in a notebook: the figure of an object, if it has a figure, and the table."""
+        plot = getattr(self, "plot", None)
+        try:
+            picture = "" if plot is None else html_picture(plot().svg(), repr(self))
+        except TaciturnError:  # an object that cannot be drawn, for a reason that ``plot`` tells, has its table
+            picture = ""
+        return f"{picture}{self.html()}"
 
 
 def html_pairs(title: str, named: Mapping[str, object]) -> str:
-    """Return the HTML of a title and a table of names and values; empty values are omitted."""
+    """Write a title and a table of names and values as HTML. Names without a value are omitted."""
     rows = [(escape(name.replace("_", " ")), _cell(value)) for name, value in _rows(named)]
     return f"<strong>{escape(title)}</strong>{html_table([], rows) if rows else ''}"
 
 
+def html_picture(svg: str, words: str) -> str:
+    """Write a picture as HTML. The picture adapts its colours to light and dark pages."""
+    data = b64encode(svg.encode()).decode()
+    style = "display: block; max-width: 100%; border-radius: 4px"
+    return f'<img alt="{escape(words)}" style="{style}" src="data:image/svg+xml;base64,{data}">'
+
+
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return an HTML table of HTML cells, without colours, so that it suits light and dark notebooks."""
+    """Write a table as HTML, from cells that are HTML. It sets no colours, so it suits light and dark notebooks."""
     head = "".join(f'<th style="{_STYLE}">{escape(title)}</th>' for title in header)
     lines = ["".join(f'<td style="{_STYLE}">{cell}</td>' for cell in row) for row in rows]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
@@ -63,7 +81,7 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def brief(value: Any, longest: int = _SHORT) -> str:
-    """Return a short text for a value: a number, the size of an array, or the first entries of a collection."""
+    """Write a value as short text: a number, the shape of an array, or the first entries of a collection."""
     if hasattr(value, "dtype"):
         return brief(value.item()) if value.size == 1 else _array(value)
     if isinstance(value, Displayed):
@@ -95,7 +113,7 @@ def _cut(text: str, longest: int) -> str:
 
 
 def _joined(ends: str, parts: Sequence[str], longest: int) -> str:
-    """Return the first entries of a collection, as many as fit, or their number if not even one does."""
+    """Return those first entries of a collection that fit, or the number of entries if none fits."""
     shown = list(parts)
     while shown and sum(map(len, shown)) + 2 * len(shown) > longest:
         shown = [*shown[: -2 if shown[-1] == "…" else -1], "…"]
@@ -127,5 +145,5 @@ def _cell(value: Any) -> str:
 
 
 def is_empty(value: Any) -> bool:
-    """Return whether there is nothing to show: no value, no text, or no entry."""
+    """Check whether there is nothing to display: the value is None, an empty text or an empty collection."""
     return value is None or (isinstance(value, str | tuple | list | dict) and not value)

@@ -1,4 +1,4 @@
-"""Atomic writing of files, and reading of files that a user names: only regular files of a limited size."""
+"""Atomic writing of files, and reading of the files that a user names, which must be regular and not too large."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PART = ".part"  # ending of the name of an incomplete file
 
 
 def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
-    """Write a file atomically: write a temporary file, then rename it, so that a crash leaves no incomplete file.
+    """Write a file atomically: write a temporary file and rename it, so that a crash leaves no incomplete file.
 
     Args:
         path: the file; missing folders are created.
@@ -44,7 +44,7 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
 
 
 def delete_parts(path: Path) -> None:
-    """Delete the incomplete files that killed processes have left next to a file that one process alone writes."""
+    """Delete incomplete files that earlier processes left next to ``path``. No other process may write ``path``."""
     written = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{16}}{re.escape(PART)}")
     with suppress(OSError):
         for part in [one for one in path.parent.iterdir() if written.fullmatch(one.name)]:
@@ -53,20 +53,20 @@ def delete_parts(path: Path) -> None:
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
-    """Provide a folder that is removed after the block, even if the process must end immediately."""
+    """Create a temporary folder for the block, and delete it afterwards, also if a signal ends the process at once."""
     folder = tempfile.TemporaryDirectory(prefix="taciturn-")
     with folder as name, at_once(lambda: shutil.rmtree(folder.name, ignore_errors=True)):
         yield Path(name)
 
 
 def check_regular(path: Path) -> None:
-    """Raise an ``OSError`` if a path is a device, a pipe or a folder, from which reading may block or never end."""
+    """Raise ``OSError`` unless the path is a regular file, because reading a device or a pipe may never end."""
     _check_mode(path.stat().st_mode, path)
 
 
 @contextmanager
 def open_regular(path: Path) -> Generator[BinaryIO]:
-    """Open a file of the user's for reading, without waiting for the other end of a pipe."""
+    """Open a file that the user has named, for reading. Raise ``OSError`` for a pipe, a device or a folder."""
     # Every file that a user names is opened here, or checked by ``check_regular`` if a library opens it by its name.
     check_regular(path)  # before it is opened, since opening a device may have effects
     with open(path, "rb", opener=_open_at_once) as file:
@@ -75,7 +75,7 @@ def open_regular(path: Path) -> Generator[BinaryIO]:
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """Return the content of a regular file with at most ``most`` bytes.
+    """Read a regular file. Raise an error if the file is larger than ``most`` bytes.
 
     Raises:
         OSError: the file cannot be read, is not regular, or is larger.
@@ -88,7 +88,7 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int) -> str:
-    """Return the UTF-8 text of a regular file with at most ``most`` bytes; a byte-order mark is accepted.
+    """Read a regular file of at most ``most`` bytes as UTF-8 text. A byte-order mark at its beginning is ignored.
 
     Raises:
         OSError: the file cannot be read, is not regular, or is larger.
@@ -98,7 +98,7 @@ def read_text(path: Path, most: int) -> str:
 
 
 def why_unreadable(error: Exception) -> str:
-    """Return the reason of an exception of ``read_bytes`` or ``read_text``, for a message."""
+    """Write, for an error message, why ``read_bytes`` or ``read_text`` has raised the exception ``error``."""
     if isinstance(error, UnicodeDecodeError):
         return f"it is not UTF-8 text: {error.reason}"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -1,4 +1,4 @@
-"""Linear maps x⁺ = A x: modes, units of states, factors of covariances, invariant subspaces, growth of moments.
+"""Analysis of linear maps x⁺ = A x: modes, scaling of states, factors of covariances, invariant subspaces, moments.
 
 Units. A similarity D^{-1}AD with powers of two in D rounds nothing, so that results do not depend on the units that a
 user chose. ``balancing`` makes rows and columns similar; ``reach`` makes each input of 1 move every state by about 1,
@@ -48,31 +48,31 @@ _VANISHES = 1e-14  # relative size of a new direction that is a rounding error
 
 
 def eigenvalues(A: Array) -> Modes:
-    """Return the eigenvalues of ``A``, largest modulus first."""
+    """Compute the eigenvalues of ``A``, sorted by decreasing modulus."""
     values = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     return values[np.argsort(-np.abs(values), kind="stable")]
 
 
 def radius(A: Array) -> float:
-    """Return the largest modulus among the eigenvalues of ``A``."""
+    """Compute the spectral radius of ``A``: the largest modulus of its eigenvalues."""
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
 def pace(A: Array) -> float:
-    """Return the largest entry of the balanced matrix ``A``, the reference for rounding errors of its modes."""
+    """Compute the largest entry of the balanced matrix ``A``, with which rounding errors of its modes are compared."""
     scale = balancing(A)
     return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
 
 
 def mode_text(mode: complex, digits: int = 6) -> str:
-    """Return an eigenvalue as text for a message."""
+    """Write an eigenvalue as text for an error message, with the given number of digits."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
         return f"{mode.real:.{digits}g}"
     return f"{mode.real:.{digits}g}{mode.imag:+.{digits}g}i"
 
 
 def least_eigenvalue(matrix: Array) -> float:
-    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix."""
+    """Compute the least eigenvalue of a symmetric matrix: accurate in any units if positive, and otherwise ≤ 0."""
     # Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
     # as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
     diagonal = np.diag(matrix)
@@ -88,7 +88,7 @@ def least_eigenvalue(matrix: Array) -> float:
 
 
 def balancing(A: Array) -> Array:
-    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,)."""
+    """Compute a diagonal matrix D of powers of two, such that the rows and columns of D⁻¹AD have similar norms."""
     # Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
     balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), NO_VARIANCE), np.ones(len(A))
     while _may_gain(balanced):
@@ -116,7 +116,9 @@ def _may_gain(A: Array) -> bool:
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:
-    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1."""
+    """Choose units of the states and inputs, such that one unit of an input changes the affected states by about one
+    unit.
+    """
     # The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
     # with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
     balanced = balancing(A)
@@ -139,7 +141,7 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 def largest_cycle(A: Array) -> float:
-    """Return the largest geometric mean of the entries of a nonnegative matrix along a cycle; 0 without a cycle."""
+    """Compute the largest geometric mean, over all cycles, of a nonnegative matrix's entries along a cycle, or 0."""
     # No change of units of the states changes it. If W_k(i) is the largest product of entries along k steps to i, it is
     # the largest over i of the least (W_n(i) / W_k(i))^(1/(n − k)) over k < n (Karp's theorem).
     n = len(A)
@@ -156,7 +158,7 @@ def largest_cycle(A: Array) -> float:
 
 
 def closure(found: Bits, leads: Bits) -> Bits:
-    """Return the given states and all states that they affect, directly or through other states."""
+    """Add to ``found`` all states that the states in ``found`` affect, directly or through other states."""
     while not found.all():
         more = found | leads[:, found].any(axis=1)
         if (more == found).all():
@@ -166,7 +168,7 @@ def closure(found: Bits, leads: Bits) -> Bits:
 
 
 def paths(leads: Bits) -> Bits:
-    """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
+    """Compute which states affect which: entry (i, j) is true if i = j, or if ``leads`` has a path from j to i."""
     found = leads | np.eye(len(leads), dtype=np.bool_)
     while True:
         more = found.astype(np.float32) @ found.astype(np.float32) > 0
@@ -176,7 +178,7 @@ def paths(leads: Bits) -> Bits:
 
 
 def in_cycles(leads: Bits) -> list[Bits]:
-    """Return masks of the states that affect each other in cycles, (n,) each; every state is in one of them."""
+    """Partition the states into groups whose states affect each other in cycles; return one mask per group."""
     found = list[Bits]()
     linked = paths(leads)
     both, left = linked & linked.T, np.ones(len(leads), dtype=np.bool_)
@@ -187,7 +189,7 @@ def in_cycles(leads: Bits) -> list[Bits]:
 
 
 def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
-    """Return G with G G' = matrix and one column per nonzero eigenvalue, independently of the units."""
+    """Compute G with ``matrix`` = G G' and one column per nonzero eigenvalue, whatever the units of the states."""
     spread = np.diag(matrix if beside is None else beside)
     scale = np.sqrt(np.where(spread > NO_VARIANCE, spread, 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
@@ -197,7 +199,7 @@ def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Ar
 
 
 def factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance: the Cholesky factor if it exists, because it is cheaper to apply."""
+    """Compute a factor G of ``covariance`` = G G'. For an invertible covariance, G is the cheaper Cholesky factor."""
     found = root(covariance)
     if found.shape[1] == len(covariance):
         found[:] = np.linalg.cholesky(covariance)
@@ -205,7 +207,7 @@ def factor(covariance: Array) -> Array:
 
 
 def symmetric_factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix."""
+    """Compute G = D S with ``covariance`` = G G': D holds standard deviations, and S S' is the correlation matrix."""
     # Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
     # have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
     if (found := root(covariance)).shape[1] == 1:
@@ -218,7 +220,7 @@ def symmetric_factor(covariance: Array) -> Array:
 
 
 def summed(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for an F that is known to be stable (``lqg.lyapunov`` proves sums)."""
+    """Compute the infinite sum Σ_k F^k W F'^k for a stable matrix F."""
     X, power = np.array(W), np.array(F)
     with np.errstate(over="ignore", invalid="ignore"):  # the callers check for overflow
         for _ in range(64):  # 2^64 terms
@@ -234,7 +236,9 @@ def summed(F: Array, W: Array) -> Array:
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return an orthonormal basis of the least subspace that contains given columns and is invariant under all maps."""
+    """Compute an orthonormal basis of the smallest subspace that contains the columns and that all maps leave
+    invariant.
+    """
     basis = np.zeros((len(columns), 0))
     new = _added(columns, basis)
     scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]
@@ -246,7 +250,7 @@ def invariant(columns: Array, maps: Sequence[Array]) -> Array:
 
 
 def unit_columns(columns: Array) -> Array:
-    """Return the columns that are not zero, scaled to length 1."""
+    """Normalise the nonzero columns to length 1, and omit the zero columns."""
     lengths = np.linalg.norm(columns, axis=0)
     return columns[:, lengths > 0] / lengths[lengths > 0]
 
@@ -261,7 +265,9 @@ def _added(columns: Array, basis: Array) -> Array:
 
 
 def growth(move: Callable[[Array], Array], moments: Array) -> float:
-    """Return the asymptotic growth factor per step of moments that a linear map moves."""
+    """Compute the asymptotic growth factor, per step, of moments to which the linear map ``move`` is applied in each
+    step.
+    """
     # The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
     # these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
     size, earlier, paces = 0.0, 0.0, [math.inf, math.inf]  # logarithms
@@ -321,7 +327,7 @@ def _eigenvalue(H: Array, rest: float) -> float | None:
 
 
 def normal_moments(size: int, order: int) -> Array:
-    """Return all moments of an even order of a vector of independent standard normal variables."""
+    """Compute all moments of the given even order of a vector of independent standard normal variables."""
     # The result has one index per factor: the moment of order 2 is the unit matrix.
     if order == 0:
         return np.ones(())

@@ -1,4 +1,4 @@
-"""Parts that installed packages add, found by their entry points and imported when they are needed.
+"""Extensions in installed packages. They are found by their entry points, and are imported when they are used.
 
 | group | name | value |
 |---|---|---|
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @cache
 def find_plugins(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
-    """Return the entry points of a group by name, of which nothing is imported yet; several packages may use a name."""
+    """Find the entry points of a group, by name, without importing them. Several packages may provide the same name."""
     found: dict[str, tuple[EntryPoint, ...]] = {}
     for entry in sorted(_installed().select(group=group), key=lambda one: one.name):
         found[entry.name] = (*found.get(entry.name, ()), entry)
@@ -38,35 +38,35 @@ def find_plugins(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
 
 
 def load_plugin(group: str, name: str, purpose: str) -> Any:
-    """Import the object of an entry point that exactly one package has, for the option or function ``purpose``."""
+    """Import the object to which an entry point refers, and check that only one package provides this entry point."""
     entries = find_plugins(group).get(name, ())
     if len(entries) != 1:
         got = f"is that of {' and of '.join(map(package_of, entries))}" if entries else "is missing"
         raise ProblemError(
-            f"{purpose} needs the entry point {name!r} of the group {group}, which {got}; expected one installed "
-            "package with it: install taciturn again, or remove the other packages"
+            f"{purpose} needs the entry point {name!r} of the group {group}, but this entry point {got}; expected "
+            "exactly one installed package that provides it: install taciturn again, or remove the other packages"
         )
     return load_entry(entries[0], purpose)
 
 
 def load_entry(entry: EntryPoint, purpose: str) -> Any:
-    """Import the object of an entry point; ``purpose`` is the beginning of the message if this fails."""
+    """Import the object to which an entry point refers. If this fails, the error message begins with ``purpose``."""
     try:
         return entry.load()
     except (Exception, SystemExit) as error:  # whatever the code of the package raises
         raise ProblemError(
-            f"{purpose} needs {entry.value}, which cannot be imported ({type(error).__name__}: {error}); expected "
-            f"an existing object: repair or remove {package_of(entry)}"
+            f"{purpose} needs the Python object {entry.value}, which cannot be imported ({type(error).__name__}: "
+            f"{error}); expected an object that can be imported: repair or remove {package_of(entry)}"
         ) from error
 
 
 def package_of(entry: EntryPoint) -> str:
-    """Return the name of the package that an entry point belongs to, with the word package."""
+    """Name the package that provides an entry point, as text such as "the package NAME"."""
     return "taciturn itself" if in_this_wheel(entry) else f"the package {entry.dist.name if entry.dist else ''}"
 
 
 def in_this_wheel(entry: EntryPoint) -> bool:
-    """Return whether an entry point is one of this wheel."""
+    """Check whether Taciturn itself, and not another package, provides an entry point."""
     return entry.dist is None or entry.dist.name == "taciturn"
 
 
@@ -101,7 +101,7 @@ def _readable() -> Any:
 
 
 def problem_folders() -> Iterator[Path]:
-    """Yield the folders of built-in problems: that of this package, and then those of other packages."""
+    """Yield the folders of built-in problems: first the folder of Taciturn, then those of other packages."""
     yield Path(__file__).parent / "problems"
     yield from _added_folders()
 

@@ -1,4 +1,4 @@
-"""This process: the signals that end it, such as Ctrl-C, in the same way in every command; and the threads of BLAS.
+"""Handling of the signals that end a process, such as Ctrl-C, in all commands. Also sets the number of BLAS threads.
 
 The first signal raises ``Interrupted`` in the main thread, or stops a server (``until_stopped``). A thread waits for
 signals too. It ends the process if the main thread has not done so after a grace period, for example because compiled
@@ -33,11 +33,11 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Interrupted(KeyboardInterrupt):
-    """Exception that is raised when a signal that ends this process has arrived."""
+    """Raised in the main thread when a signal, such as Ctrl-C, asks this process to end."""
 
 
 class Ending:
-    """The signal that ends this process, if one has arrived."""
+    """Handler of the signals that end this process, such as Ctrl-C. It stores the signal that has arrived."""
 
     def __init__(self) -> None:
         """Start without a signal."""
@@ -49,14 +49,14 @@ class Ending:
         self._told = threading.Lock()
 
     def hear(self, number: int, _frame: FrameType | None = None) -> None:
-        """Handle a signal in the main thread."""
+        """Handle a signal in the main thread: store it, and raise ``Interrupted`` if it is the first signal."""
         raises, self.raises = self.raises and not self.serves, False
         self._note(number)
         if raises:
             raise Interrupted
 
     def watch(self, pipe: int) -> None:
-        """Wait for signals, whose numbers arrive on a pipe, and end the process if the main thread does not do so."""
+        """Wait in a second thread for a signal. End the process if the main thread does not react in time."""
         if (number := _next_ending(pipe)) is None:
             os.close(pipe)
             return
@@ -67,7 +67,7 @@ class Ending:
         self._end_at_once(_next_ending(pipe) or number)
 
     def finish(self) -> None:
-        """End the process after a signal, as the last call of the interpreter that can still handle a second signal."""
+        """End the process if a signal has arrived. This is called last, so that a second signal is still handled."""
         if self.number is not None:
             for stream in (sys.stdout, sys.stderr):
                 _try(stream.flush)
@@ -92,7 +92,7 @@ class Ending:
         os._exit(128 + number)
 
     def tell(self) -> None:
-        """Print one line about the signal to standard error, once."""
+        """Print the line about the signal to standard error, but only once."""
         if self.number is not None and self._told.acquire(blocking=False):
             how = "interrupted" if self.number == signal.SIGINT else f"{ENDED} {self.number.name}"
             with suppress(OSError, ValueError):
@@ -102,7 +102,7 @@ class Ending:
 
 @contextmanager
 def ends_on_signals() -> Generator[Ending]:
-    """End this process on a signal while the block runs: one line on standard error, and exit code 128 + signal."""
+    """While the block runs, a signal ends this process with one line of text and the exit code 128 + signal number."""
     # An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
     # ignored.
     global _present
@@ -145,13 +145,15 @@ def ends_on_signals() -> Generator[Ending]:
 
 
 def has_ended() -> bool:
-    """Return whether a signal that ends this process has arrived."""
+    """Check whether a signal that ends this process has arrived."""
     return _present is not None and _present.number is not None
 
 
 @contextmanager
 def until_stopped() -> Generator[Callable[[], bool]]:
-    """Yield a function that returns whether a signal of ``ENDING`` arrived, so that the report can still be printed."""
+    """Yield a function that returns whether a signal has arrived. With it, a server stops its loop and prints its
+    report.
+    """
     with ends_on_signals() as ending:
         ending.serves += 1
         ignored = _main() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
@@ -167,7 +169,7 @@ def until_stopped() -> Generator[Callable[[], bool]]:
 
 @contextmanager
 def remark(text: str) -> Generator[None]:
-    """Add a text to the line that a signal prints while the block runs, such as where the results so far are stored."""
+    """While the block runs, add ``text`` to the line that a signal prints, such as where results are stored."""
     if _present is None:
         yield
         return
@@ -179,7 +181,7 @@ def remark(text: str) -> Generator[None]:
 
 @contextmanager
 def at_once(call: Callable[[], object]) -> Generator[None]:
-    """While the block runs, call a function if the process must end immediately, for example to end child processes."""
+    """While the block runs, call ``call`` if a signal ends the process at once, for example to end child processes."""
     last = [] if _present is None else _present.last
     last.append(call)
     try:
@@ -190,7 +192,7 @@ def at_once(call: Callable[[], object]) -> Generator[None]:
 
 @contextmanager
 def deferred() -> Generator[None]:
-    """Defer signals to the end of the block; processes that start meanwhile receive neither SIGINT nor SIGHUP."""
+    """Handle signals only after the block. Child processes that start in the block ignore SIGINT and SIGHUP."""
     if not _main():
         yield
         return
@@ -253,6 +255,6 @@ def _ignore(_: object) -> None:
 
 
 def prefer_one_thread() -> None:
-    """Set one BLAS thread unless the user has set a number; NumPy reads this setting once, at its import."""
+    """Set the number of BLAS threads to one unless the user has set it. Call this before NumPy is imported."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")

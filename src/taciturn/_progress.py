@@ -1,4 +1,4 @@
-"""Progress of a computation, and its time limit."""
+"""Progress and time limit of a computation. A callback for the progress may also stop the computation."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ Progress = Callable[[float], None]
 clock = time.monotonic
 PATIENCE = 1.0  # seconds before a bar appears in a notebook
 _limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
+_watch: ContextVar[Callable[[], None] | None] = ContextVar("watch", default=None)
 
 
 class OutOfTime(Exception):  # noqa: N818
-    """Signal that the time limit has passed and that the best answer so far is to be returned."""
+    """Raised when the time limit has passed, so that the caller returns the best answer found so far."""
 
 
 class NoTimeLeft(Exception):  # noqa: N818
-    """Signal that the time limit has passed and that there is no answer: of a part of a grid or search, nothing is."""
+    """Raised when the time limit has passed before the first answer, because an unfinished search has no answer."""
 
 
 @dataclass(frozen=True)
@@ -41,30 +42,43 @@ class _Limit:
 
 
 def check_time() -> None:
-    """Raise ``OutOfTime`` or ``NoTimeLeft`` if the time limit of the present computation has passed.
+    """Raise ``OutOfTime`` or ``NoTimeLeft`` if the time limit of the current computation has passed.
 
-    Designs, searches and simulations call it often, so that they end in time; those that have an answer return it.
+    Designs, searches and simulations call this function often, so that they stop in time and return the answer that
+    they have. A watch (``watched``) may raise another exception.
     """
-    limit = _limit.get()
+    watch, limit = _watch.get(), _limit.get()
+    if watch is not None:
+        watch()
     if limit is not None and clock() > limit.end:
         raise OutOfTime if limit.early else NoTimeLeft
 
 
 def seconds_left() -> float:
-    """Return the seconds until the time limit of the present computation, at least 0; infinity without a limit."""
+    """Return the seconds that remain until the time limit of the current computation: at least 0, or infinity."""
     limit = _limit.get()
     return math.inf if limit is None else max(0.0, limit.end - clock())
 
 
 def late_text() -> str:
-    """Return what a note says about a part of an answer for which there was no time."""
+    """Write a note that a part of an answer is missing because the time limit has passed."""
     limit = _limit.get()
     return "the time limit passed" if limit is None else f"the time limit of {limit.seconds:g} s passed"
 
 
 @contextmanager
+def watched(watch: Callable[[], None]) -> Generator[None]:
+    """While the block runs, call ``watch`` at each check of the time. It may raise an exception to stop the block."""
+    token = _watch.set(watch)
+    try:
+        yield
+    finally:
+        _watch.reset(token)
+
+
+@contextmanager
 def part_of_time(share: float) -> Generator[None]:
-    """Limit the computations in the block to a share of the time that is left, if an early answer is of use."""
+    """Limit the block to a share of the remaining time, if the caller accepts the best answer found so far."""
     limit, left = _limit.get(), seconds_left()
     token = _limit.set(replace(limit, end=clock() + share * left) if limit is not None and limit.early else limit)
     try:
@@ -75,7 +89,7 @@ def part_of_time(share: float) -> Generator[None]:
 
 @contextmanager
 def answered_within(seconds: float | None, early: bool = False) -> Generator[None]:
-    """Limit the time of the computations in the block; an earlier end of an outer limit still holds.
+    """Limit the time of the computations in the block. An earlier limit of an outer block still applies.
 
     Args:
         seconds: time limit in seconds from now; None for no further limit.
@@ -96,14 +110,14 @@ def answered_within(seconds: float | None, early: bool = False) -> Generator[Non
         if outer is not None and clock() > outer.end:
             raise
         raise ProblemError(
-            f"time_limit is {seconds:g}, and no result was available within {seconds:g} s; expected a longer time"
+            f"time_limit is {seconds:g}, but no result was available within {seconds:g} s; expected a longer time limit"
         ) from None
     finally:
         _limit.reset(token)
 
 
 class Stages:
-    """The progress of a stage of a computation, mapped to an interval of the overall progress."""
+    """Progress of one stage of a computation, which covers an interval of the progress of the whole computation."""
 
     def __init__(self, progress: Progress | None, low: float = 0.0, high: float = 1.0) -> None:
         """Start with a progress of 0."""
@@ -115,18 +129,18 @@ class Stages:
         self.tick()
 
     def tick(self) -> None:
-        """Report the same progress again, and check the time limit."""
+        """Report the present progress once more, and check the time limit."""
         check_time()
         if self.progress is not None:
             self.progress(self.low + (self.high - self.low) * self.at)
 
     def stage(self, low: float, high: float) -> Stages:
-        """Return the progress of a part of this stage."""
+        """Create a sub-stage, whose progress from 0 to 1 covers the interval from ``low`` to ``high`` of this stage."""
         return Stages(self, low, high)
 
 
 def in_notebook(progress: Progress | None) -> Progress | None:
-    """Return a progress bar if no callback is given and the code runs in a notebook; else return the given callback.
+    """Return ``progress`` if it is given. If it is not, create a progress bar in a notebook, and return its callback.
 
     The bar appears below the cell after one second. It disappears when everything is done, and at the latest at the end
     of the cell: a search may end early, and an error ends every computation. ``TACITURN_PROGRESS=0`` disables it.

@@ -1,4 +1,4 @@
-"""Exact answers about matrices of doubles: ranks, kernels, and modes that no input moves, in rational numbers.
+"""Exact ranks, null spaces and uncontrollable modes of matrices, in rational arithmetic.
 
 A double is a rational number. So whether an input moves a mode, and whether this mode decays, are questions that have
 answers, without a tolerance.
@@ -49,14 +49,14 @@ _NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 def reaches_all(A: Array, B: Array) -> bool:
-    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank."""
+    """Check whether (A, B) is controllable: whether the columns of B, AB, A²B, … span the whole state space."""
     # True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that
     # the prime divides all minors.
     return _reached(A, B) == len(A)
 
 
 def _reached(A: Array, B: Array) -> int:
-    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
+    """Return the rank of B, AB, A²B, … modulo a prime; it is at most the rank over the rational numbers."""
     # It is known once it is full, or equal for twice as many powers of A.
     (n, m), before, most = B.shape, 0, len(B)
     moves, block, columns = _modular(A), _modular(B), list[nmod]()
@@ -122,13 +122,13 @@ def _modular(values: Array) -> nmod_mat:
 
 
 def rational(values: Array) -> fmpq_mat:
-    """Return a matrix of doubles as rational numbers, each exactly."""
+    """Convert a matrix of doubles to a matrix of rational numbers without rounding."""
     entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
     return fmpq_mat(len(values), values.shape[1], entries)
 
 
 def nearest(whole: fmpz_mat, factor: fmpq) -> Array:
-    """Return the doubles nearest to the products of whole numbers with a factor; infinite beyond their range."""
+    """Multiply integers by ``factor``, and round to the nearest doubles. Too large products become infinite."""
     over, under = int(factor.p), int(factor.q)
     return np.array([_quotient(int(one) * over, under) for one in whole.entries()]).reshape(
         whole.nrows(), whole.ncols()
@@ -143,23 +143,23 @@ def _quotient(over: int, under: int) -> float:
 
 
 def above(*parts: fmpq_mat) -> fmpq_mat:
-    """Return matrices, one above the other."""
+    """Stack matrices vertically into one matrix."""
     rows = sum(part.nrows() for part in parts)
     return fmpq_mat(rows, parts[0].ncols(), [entry for part in parts for entry in part.entries()])
 
 
 def beside(*parts: fmpq_mat) -> fmpq_mat:
-    """Return matrices side by side."""
+    """Join matrices side by side."""
     return above(*(part.transpose() for part in parts)).transpose()
 
 
 def lines(matrix: fmpq_mat, rows: Sequence[int]) -> fmpq_mat:
-    """Return some rows of a matrix."""
+    """Return the submatrix of the given rows of a matrix."""
     return fmpq_mat(len(rows), matrix.ncols(), [matrix[i, j] for i in rows for j in range(matrix.ncols())])
 
 
 def leading(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
-    """Return the reduced echelon form of a matrix without its zero rows, and the columns of its leading ones."""
+    """Compute the reduced row echelon form without its zero rows, and the columns of the pivots."""
     if not matrix.nrows() or not matrix.ncols():
         return fmpq_mat(0, matrix.ncols()), []
     reduced, rank = matrix.rref()
@@ -168,19 +168,19 @@ def leading(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
 
 
 def basis(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a basis of the columns of a matrix, which is the identity in the rows ``pivots``."""
+    """Compute a basis of the column space of a matrix, in reduced form: its rows ``pivots`` are the identity matrix."""
     return leading(matrix.transpose())[0].transpose()
 
 
 def pivots(basis: fmpq_mat) -> Bits:
-    """Return a mask of the rows in which a basis in reduced form is the identity."""
+    """Mark the rows of a basis in reduced form that form the identity matrix."""
     found = np.zeros(basis.nrows(), dtype=np.bool_)
     found[leading(basis.transpose())[1]] = True
     return found
 
 
 def kernel(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a basis of the vectors that a matrix maps to zero, as columns."""
+    """Compute a basis of the null space of a matrix: its columns span all vectors that the matrix maps to zero."""
     reduced, lead = leading(matrix)
     free = [j for j in range(matrix.ncols()) if j not in lead]
     found = fmpq_mat(matrix.ncols(), len(free))
@@ -192,7 +192,7 @@ def kernel(matrix: fmpq_mat) -> fmpq_mat:
 
 
 def right_inverse(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a matrix Y with matrix·Y = I, for a matrix of full row rank."""
+    """Compute a right inverse Y of a matrix of full row rank, such that matrix·Y is the identity."""
     one = rational(np.eye(matrix.nrows()))
     reduced, lead = leading(beside(matrix, one))
     found = fmpq_mat(matrix.ncols(), matrix.nrows())
@@ -203,7 +203,7 @@ def right_inverse(matrix: fmpq_mat) -> fmpq_mat:
 
 
 def is_semidefinite(values: Array) -> bool:
-    """Return whether a symmetric matrix of doubles has no negative eigenvalue, by elimination without rounding."""
+    """Check in exact arithmetic whether a symmetric matrix of doubles is positive semidefinite."""
     rest = rational(values)
     n = len(values)
     for k in range(n):
@@ -224,7 +224,7 @@ def is_semidefinite(values: Array) -> bool:
 
 @contextmanager
 def precision(bits: int) -> Generator[None]:
-    """Set the precision of python-flint; the one before is restored, and other threads wait."""
+    """While the block runs, python-flint computes with a precision of ``bits`` bits. Other threads wait."""
     with _LOCK:
         before, ctx.prec = ctx.prec, bits
         try:
@@ -234,7 +234,9 @@ def precision(bits: int) -> Generator[None]:
 
 
 class Lost(NamedTuple):
-    """Modes of which it is known whether they decay, the fastest ones first, with their multiplicities."""
+    """Modes that an input does not affect: unstable, marginally stable and stable ones, each group from fast to
+    slow.
+    """
 
     growing: Modes  # those outside the stability limit
     staying: Modes  # those on the limit
@@ -242,7 +244,7 @@ class Lost(NamedTuple):
 
     @property
     def lasting(self) -> Modes:
-        """The modes that do not decay, the fastest first."""
+        """The unstable and marginally stable modes, sorted from the fastest to the slowest."""
         return np.concatenate([self.growing, self.staying])
 
 
@@ -250,7 +252,9 @@ NONE = Lost(*(np.zeros(0, dtype=np.complex128) for _ in range(3)))
 
 
 class Limit(NamedTuple):
-    """The edge of the modes that count as decaying."""
+    """The stability limit in the complex plane: unit circle or imaginary axis; with a discount, a larger circle or a
+    line.
+    """
 
     continuous: bool  # whether time is continuous: the edge is the imaginary axis, and otherwise the unit circle
     # α, by which the cost of a later step counts less: the edge is the circle of radius 1/√α, or in continuous time
@@ -263,28 +267,28 @@ class Limit(NamedTuple):
         return self.text(FEWEST)
 
     def text(self, digits: int) -> str:
-        """Return the edge as text, with a number of digits."""
+        """Write the stability limit as text such as "the unit circle", with the given number of digits."""
         if self.continuous:
             return "the imaginary axis" if self.at == 0 else f"the line Re s = {self.at:.{digits}g}"
         return "the unit circle" if self.at == 1 else f"the circle of radius 1/√discount = {self.at:.{digits}g}"
 
     def region(self, digits: int) -> str:
-        """Return the region of the modes that decay as text, with a number of digits."""
+        """Write the region in which modes are stable as text, with the given number of digits."""
         return "the open left half-plane" if self.continuous and self.discount == 1 else self.text(digits)
 
     @property
     def at(self) -> float:
-        """Real part or modulus of the edge."""
+        """Radius of the circle that is the stability limit. In continuous time, the real part of the line."""
         if self.continuous:
             return -float(np.log(self.discount)) / (2 * self.period)
         return 1 / float(np.sqrt(self.discount))
 
     def named(self, mode: complex) -> str:
-        """Return a mode as text, with as many digits as tell it from the edge."""
+        """Write a mode as text, with enough digits to show on which side of the stability limit it lies."""
         return mode_text(mode, self.digits(mode))
 
     def digits(self, mode: complex) -> int:
-        """Return the least number of digits, six or more, in which a mode and the edge lie as they do."""
+        """Return how many digits, at least six, are needed to show on which side of the stability limit a mode lies."""
         at, own = self.at, mode.real if self.continuous else abs(mode)
         if abs(own - at) <= _SAME * at:
             return FEWEST  # the double may be that of a mode on the edge
@@ -297,11 +301,13 @@ class Limit(NamedTuple):
 
     @property
     def reaching(self) -> bool:
-        """Whether an eigenvalue can lie on the edge: a line that is not the axis has transcendental real parts."""
+        """Whether a mode can lie exactly on the stability limit. It cannot if the limit is another line than Re
+        s = 0.
+        """
         return not self.continuous or self.discount == 1
 
     def side(self, root: acb) -> int:
-        """Return 1 for a root that is proved to lie outside, −1 for one inside, and 0 for another one."""
+        """Return on which side of the stability limit a root provably lies: 1 outside, −1 inside, 0 if not proved."""
         if self.continuous:
             distance = root.real + arb(self.discount).log() / (2 * arb(self.period))
         else:
@@ -309,7 +315,9 @@ class Limit(NamedTuple):
         return 1 if distance > 0 else -1 if distance < 0 else 0
 
     def reflected(self, polynomial: fmpq_poly) -> fmpq_poly:
-        """Return the polynomial whose roots are the mirror images of the nonzero roots of another one."""
+        """Return the polynomial whose roots are the mirror images, at the stability limit, of the polynomial's nonzero
+        roots.
+        """
         coefficients = polynomial.coeffs()
         if self.continuous:
             return fmpq_poly([one if k % 2 == 0 else -one for k, one in enumerate(coefficients)])
@@ -317,13 +325,13 @@ class Limit(NamedTuple):
         return fmpq_poly(list(reversed([one / discount**k for k, one in enumerate(coefficients)])))
 
     def image(self, root: acb) -> acb:
-        """Return the mirror image of a nonzero root."""
+        """Compute the mirror image of a nonzero root at the stability limit."""
         conjugate = acb(root.real, -root.imag)
         return -conjugate if self.continuous else acb(1) / (conjugate * arb(self.discount))
 
 
 def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
-    """Return the modes of A that the input through B does not move."""
+    """Compute the uncontrollable modes of (A, B)."""
     if not len(A) or reaches_all(A, B):
         return NONE
     leads = np.asarray(A != 0, dtype=np.bool_)
@@ -339,12 +347,12 @@ def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
 
 
 def free_modes(A: Array, limit: Limit) -> Lost:
-    """Return all modes of A; those that rounding the entries may have moved off the limit count as modes on it."""
+    """Compute all modes of A. If rounding may hide on which side of the limit a mode lies, it is marginally stable."""
     return unmoved(A, np.zeros((len(A), 0)), limit, rounded=True)
 
 
 def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
-    """Return the modes of A that the input through B does not move and on which combinations of states depend."""
+    """Compute the modes of A that are uncontrollable through B, but observable in the outputs ``rows``·x."""
     # They are the modes of A on the states modulo those that the input reaches and those that never show.
     F, hidden = rational(A), kernel(_reachable(A.T, rows.T).transpose())
     return _of_block(_beyond(F, _within(F, basis(beside(rational(B), hidden)))), limit, rounded)
@@ -382,7 +390,7 @@ def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
 
 
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
-    """Return all modes of a matrix of rational numbers."""
+    """Compute all modes of a matrix of rational numbers, and on which side of the stability limit they lie."""
     found = roots_of(A.charpoly(), limit)
     sides = ([complex(one.root) for one in found if one.side == side for _ in range(one.many)] for side in (1, 0, -1))
     return Lost(*(_sorted(np.array(modes, dtype=np.complex128)) for modes in sides))
@@ -397,7 +405,7 @@ class _Root(NamedTuple):
 
 
 def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = _BITS) -> list[_Root]:
-    """Return the different roots of a polynomial, in at least the given precision."""
+    """Compute the distinct roots of a polynomial, with at least ``bits`` bits of precision."""
     on = None if limit.reaching else 0
     while True:
         with precision(bits):
@@ -416,7 +424,7 @@ def _roots(polynomial: fmpq_poly) -> list[tuple[acb, int]]:
 
 
 def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
-    """Return how many different roots are their own mirror images; None if this precision does not tell."""
+    """Return the number of different roots that are their own mirror images; None if the precision is too low."""
     roots, count = [root for root, _ in _roots(common)] if common.degree() else [], 0
     for k, root in enumerate(roots):
         near = [j for j, other in enumerate(roots) if limit.image(root).overlaps(other)]

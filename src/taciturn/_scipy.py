@@ -1,4 +1,4 @@
-"""Typed interface to the functions of scipy that this package uses."""
+"""Functions of scipy that Taciturn uses, with type annotations."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array
 
@@ -16,7 +17,7 @@ _FEW_UNKNOWNS = 400  # of a linear system that is stored as a matrix
 
 
 def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
-    """Return scipy's solution of the discrete Riccati equation, or None if scipy finds none; R may be indefinite."""
+    """Solve a discrete-time Riccati equation with scipy, also for an indefinite R. Return None if scipy fails."""
     import scipy.linalg
 
     try:
@@ -31,7 +32,9 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array 
 def discrete_controller(
     A: Array, B: Array, C: Array, D: Array, dt: float, method: str
 ) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C, D of a continuous system at steps of dt, by scipy's method ``"bilinear"`` or ``"zoh"``."""
+    """Discretise a linear system (A, B, C, D) with scipy, with the period ``dt`` and the method ``"bilinear"`` or
+    ``"zoh"``.
+    """
     import scipy.signal
 
     found: Any = scipy.signal.cont2discrete((A, B, C, D), dt, cast("Any", method))
@@ -47,29 +50,52 @@ def matrix_exponential(A: Array) -> Array:
 
 
 def part_of_modes(A: Array, chosen: Callable[[complex], bool]) -> Array:
-    """Return V with V A = A_u V, where V x are orthonormal coordinates of the chosen modes."""
+    """Compute V and A_u with V A = A_u V, where V x are orthonormal coordinates of the chosen modes; return V."""
     import scipy.linalg
 
     _, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: chosen(complex(real, imag)))
     return basis[:, :count].T
 
 
+def real_schur(A: Array, least: float = np.inf) -> tuple[Array, Array, int]:
+    """Compute the real Schur form A = Z T Z' with modes of modulus ≥ ``least`` first. Return T, Z and their number."""
+    import scipy.linalg
+
+    if not len(A):
+        return A, A, 0
+    found = scipy.linalg.schur(A, sort=lambda real, imag: abs(complex(real, imag)) >= least)
+    return np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.float64), int(found[2])
+
+
+def largest_ratios(
+    forms: npt.NDArray[np.complex128], others: npt.NDArray[np.complex128], tiny: float
+) -> npt.NDArray[np.float64]:
+    """Compute the largest ratio of each pair of Hermitian forms. The small number ``tiny`` keeps the denominators
+    positive.
+    """
+    size = np.asarray(np.trace(others, axis1=1, axis2=2).real, dtype=np.float64)
+    least = np.asarray(tiny * size[:, None, None] * np.eye(others.shape[-1]), dtype=np.complex128)
+    algebra: Any = np.linalg  # whose functions lose the type of complex arrays
+    inverse = algebra.inv(algebra.cholesky(others + least))
+    return np.asarray(algebra.eigvalsh(inverse @ forms @ inverse.conj().swapaxes(1, 2))[:, -1], dtype=np.float64)
+
+
 def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:
-    """Return the root of a function in an interval by Brent's method, to an absolute tolerance."""
+    """Find a root of a function between ``low`` and ``high`` by Brent's method, with absolute tolerance ``width``."""
     import scipy.optimize
 
     return float(scipy.optimize.brentq(function, low, high, xtol=width))
 
 
 def least_squares(residuals: Callable[[Array], Array], start: Array) -> Array:
-    """Return the local minimiser of the sum of squared residuals near a start, by Levenberg-Marquardt."""
+    """Find a local minimum of a sum of squares by the Levenberg–Marquardt method, from the point ``start``."""
     import scipy.optimize
 
     return np.asarray(scipy.optimize.least_squares(residuals, start, method="lm", x_scale="jac").x, dtype=np.float64)
 
 
 def sobol(dimensions: int, points: int, draws: np.random.Generator) -> Array:
-    """Return the first points of a scrambled Sobol sequence in the open unit cube, (points, dimensions)."""
+    """Draw the first points of a randomly scrambled Sobol sequence in the open unit cube, (points, dimensions)."""
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(dimensions, scramble=True, seed=draws)
@@ -77,35 +103,35 @@ def sobol(dimensions: int, points: int, draws: np.random.Generator) -> Array:
 
 
 def normal_share(x: Array) -> Array:
-    """Return the probability that a standard normal variable is below x."""
+    """Compute the standard normal distribution function: the probability that the variable is at most x."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr(x), dtype=np.float64)
 
 
 def normal_quantile(share: Array) -> Array:
-    """Return the quantile of the standard normal distribution."""
+    """Compute the quantile of the standard normal distribution for the probability ``share``."""
     from scipy.special import ndtri
 
     return np.asarray(ndtri(share), dtype=np.float64)
 
 
 def gamma_share(shape: Array, x: float) -> Array:
-    """Return the probability that a gamma variable with a given shape and scale 1 is below x."""
+    """Compute the probability that a gamma variable with the given shape parameter and scale 1 is at most x."""
     from scipy.special import gammainc
 
     return np.asarray(gammainc(shape, x), dtype=np.float64)
 
 
 def gamma_quantile(shape: float, share: float) -> float:
-    """Return the value below which a gamma variable with a given shape and scale 1 is with this probability."""
+    """Compute the quantile of the gamma distribution with the given shape and scale 1 for the probability ``share``."""
     from scipy.special import gammaincinv
 
     return float(gammaincinv(shape, share))
 
 
 def fixed_point(apply: Callable[[Array], Array], added: Array) -> Array:
-    """Return x = apply(x) + added for a linear map of spectral radius below 1; the caller checks the residual."""
+    """Solve x = apply(x) + added for a stable linear map ``apply``. The caller must check the residual."""
     # few unknowns are computed from the matrix of the map, many by the method of generalised minimal residuals
     size = len(added)
     if size <= _FEW_UNKNOWNS:

@@ -1,17 +1,20 @@
-"""Text in at most 80 columns: pairs of name and value, tables with wrapped headings and names, and percentages."""
+"""Text that fits the width of the terminal: lists of names and values, tables with wrapped headings, percentages."""
 
 from __future__ import annotations
 
 import math
 import re
+import shutil
+import sys
 import textwrap
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
+from itertools import zip_longest
 from pathlib import Path
 
-WIDTH = 80
+NARROWEST, PLAIN, WIDEST = 40, 80, 120  # columns: of a terminal at least, of a file or a pipe, of a terminal at most
 _NAME = 14  # least width of the names
-_SHORTEST = 8  # least width of a wrapped heading
+_SHORTEST, _HEADING = 8, 16  # least and largest width of a heading; longer headings take several lines
 _LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
 _SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
 _FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
@@ -22,14 +25,32 @@ _FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
 
+def width() -> int:
+    """Return the length of a line in columns: the terminal's width within limits, or 80 if the output is a file."""
+    if not _is_terminal():
+        return PLAIN
+    return min(max(shutil.get_terminal_size((PLAIN, 0)).columns, NARROWEST), WIDEST)
+
+
+def _is_terminal() -> bool:
+    try:
+        return sys.stdout.isatty()
+    except (AttributeError, ValueError):  # no standard output, or a closed one
+        return False
+
+
 def pairs_text(lines: Lines) -> str:
-    """Return names and values, one pair per line; long values are wrapped with a hanging indent."""
-    width = max([_NAME, *(len(name) for name, _ in lines)])
-    return "\n".join(line for name, text in lines for line in _hanging(f"{name:{width}s} ", text))
+    """Write names and values in two columns. Long names and values are wrapped to several lines."""
+    longest = min(max([_NAME, *(len(name) for name, _ in lines)]), _LONGEST_NAME)
+    found = list[str]()
+    for name, text in lines:
+        both = zip_longest(folded(name, longest), _hanging(" " * (longest + 1), text), fillvalue="")
+        found += [f"{first:{longest}s}{line[longest:]}".rstrip() for first, line in both]
+    return "\n".join(found)
 
 
 def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int = 0) -> str:
-    """Return a table as text.
+    """Write a table as text, with lines that fit the terminal.
 
     Args:
         header: headings of the columns; long headings take several lines.
@@ -37,17 +58,21 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
         names: number of columns on the left that are aligned left, and repeated if the table is split.
 
     Returns:
-        The table; if it is wider than 80 columns, it is split into several parts, one below the other.
+        The table; if it is wider than a line, it is split into several parts, one below the other.
     """
-    rows = _fitted(header, rows, names)
+    rows, most = _fitted(header, rows, names), width()
     columns = [[row[i] for row in rows] for i in range(len(header))]
-    wrapped = [_wrapped(title, max(map(len, column), default=0)) for title, column in zip(header, columns, strict=True)]
-    widths = [max(map(len, [*title, *column])) for title, column in zip(wrapped, columns, strict=True)]
+    wrapped, widths = _headed(header, columns, _SHORTEST)
+    for longest in range(_HEADING, _SHORTEST, -1):  # headings have as few lines as fit
+        few, wide = _headed(header, columns, longest)
+        if sum(wide) + len(_GAP) * (len(wide) - 1) <= most:
+            wrapped, widths = few, wide
+            break
     fixed = sum(widths[:names]) + len(_GAP) * names
     parts: list[list[int]] = [[]]
     used = fixed
     for i in range(names, len(header)):
-        if parts[-1] and used + widths[i] > WIDTH:
+        if parts[-1] and used + widths[i] > most:
             parts.append([])
             used = fixed
         parts[-1].append(i)
@@ -56,33 +81,35 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
 
 
 def ordinal(number: int) -> str:
-    """Return a number as an ordinal."""
+    """Write an integer as an ordinal number, such as 1st."""
     last = 0 if number // 10 % 10 == 1 else number % 10
     return str(number) + {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
 
 
 def wrapped_text(text: str, indent: str = "") -> str:
-    """Return a text wrapped to at most 80 columns."""
+    """Wrap a text to the width of a line."""
     return "\n".join(_hanging(indent, text))
 
 
-def folded(name: str, width: int) -> list[str]:
-    """Return the lines of a long name, such as a path, which is split between words or parts of words if possible."""
+def folded(name: str, longest: int) -> list[str]:
+    """Split a long name, such as a path, into several lines, if possible between words or parts of words."""
     lines = [""]
     for piece in re.findall(r"[^/ _-]*[/ _-]|[^/ _-]+", name):
-        if lines[-1] and len(lines[-1] + piece.rstrip()) > width:
+        if lines[-1] and len(lines[-1] + piece.rstrip()) > longest:
             lines.append("")
         lines[-1] += piece
-        while len(lines[-1].rstrip()) > width:
-            lines[-1:] = [lines[-1][:width], lines[-1][width:]]
+        while len(lines[-1].rstrip()) > longest:
+            lines[-1:] = [lines[-1][:longest], lines[-1][longest:]]
     return [line.rstrip() for line in lines]
 
 
 def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up: int = 0, signed: bool = False) -> str:
-    """Return a share as a percentage; a zero has no sign, and a very large percentage has six digits and an exponent.
+    """Write a fraction, such as 0.25, as a percentage.
+
+    A zero has no sign, and a very large percentage has six digits and an exponent.
 
     Args:
-        share: the number, of which 1 is 100 %.
+        share: the share; 1 is 100 %.
         decimals: number of decimals; default: those of six significant digits, without trailing zeros.
         error: standard error of the share; if it is more than a rounding error, it is printed and determines the
             decimals.
@@ -105,7 +132,7 @@ def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up
 
 
 def number_text(value: float, digits: int = 6) -> str:
-    """Return a number with at most the given number of digits; a very small or very large one has an exponent."""
+    """Write a number with at most ``digits`` digits. Very small and very large numbers are written with an exponent."""
     if not LARGE <= abs(value) < 10.0**digits:
         return f"{value:z.{digits}g}"
     leading, exponent = f"{value:.{digits - 1}e}".split("e")
@@ -113,7 +140,7 @@ def number_text(value: float, digits: int = 6) -> str:
 
 
 def measured_text(value: float, error: float) -> str:
-    """Return value ± error in one notation, rounded to two digits of the error, which is positive."""
+    """Write value ± error in a common notation, rounded to two digits of the error, which must be positive."""
     last = magnitude(error) - 1
     if _SMALL <= max(abs(value), error) < LARGE and last >= -_ROUNDED:
         decimals = max(0, -last)
@@ -124,22 +151,22 @@ def measured_text(value: float, error: float) -> str:
 
 
 def negligible(error: float, value: float) -> bool:
-    """Return whether an error is only a rounding error of the value."""
+    """Check whether the error of a value is so small that it may be a rounding error."""
     return error <= _FINE * abs(value)
 
 
 def magnitude(value: float) -> int:
-    """Return the power of ten of the first digit of a number; 0 for 0."""
+    """Return the power of ten of a number's first nonzero digit; 0 for the number 0."""
     return math.floor(math.log10(abs(value))) if value else 0
 
 
 def ending_text(path: Path) -> str:
-    """Return what an error message says about the ending of the name of a file."""
+    """Write the file-name extension of a path for an error message, or that the path has none."""
     return f"ends in {path.suffix!r}" if path.suffix else "has no ending"
 
 
 def backslash_text(path: str, error: str = "") -> str:
-    """Return what an error message adds if backslashes of a path were escapes in TOML, or an empty text."""
+    """Write a hint for an error message if TOML has read backslashes in a path as escapes; otherwise an empty text."""
     if path.isprintable() and not any(word in error for word in ("Unescaped", "hex value", "Escaped")):
         return ""
     return (
@@ -148,8 +175,14 @@ def backslash_text(path: str, error: str = "") -> str:
     )
 
 
+def number_of(number: object, noun: str) -> str:
+    """Return a number, or its text, with its noun in the singular or plural: 1 step, 0 steps, 2.5 steps."""
+    text = f"{number}"
+    return f"{text} {noun}{'' if text == '1' else 's'}"
+
+
 def per_unit(unit: str) -> str:
-    """Return the unit of a cost as text: per step, per second, or in total for the unit ``"mission"``."""
+    """Write the unit of a cost as text: "per step", "per second", or "in total" for the unit ``"mission"``."""
     return "in total" if unit == "mission" else f"per {unit}"
 
 
@@ -171,8 +204,8 @@ def _part(
 def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) -> list[Sequence[str]]:
     """Return the rows with additional lines for long names, so that the widest other column fits next to the names."""
     widths = [max([len(row[i]) for row in rows] + [_SHORTEST]) for i in range(len(header))]
-    room = WIDTH - len(_GAP) * names - max(widths[names:], default=0)
-    limits = [min(width, _LONGEST_NAME) for width in widths[:names]]
+    room = width() - len(_GAP) * names - max(widths[names:], default=0)
+    limits = [min(one, _LONGEST_NAME) for one in widths[:names]]
     while sum(limits) > room and max(limits) > _SHORTEST:
         limits[limits.index(max(limits))] -= 1
     found: list[Sequence[str]] = []
@@ -184,9 +217,13 @@ def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) ->
     return found
 
 
-def _wrapped(title: str, width: int) -> list[str]:
-    """Return the lines of a heading that is wrapped to the width of its column."""
-    return textwrap.wrap(title, max(width, _SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
+def _headed(header: Sequence[str], columns: list[list[str]], longest: int) -> tuple[list[list[str]], list[int]]:
+    """Return the lines of the headings, wrapped to a width or to that of the column, and the widths of the columns."""
+    wrapped = [
+        textwrap.wrap(title, max([longest, *map(len, column)]), break_long_words=False, break_on_hyphens=False) or [""]
+        for title, column in zip(header, columns, strict=True)
+    ]
+    return wrapped, [max(map(len, [*title, *column])) for title, column in zip(wrapped, columns, strict=True)]
 
 
 def _hanging(first: str, text: str) -> list[str]:
@@ -199,7 +236,7 @@ def _hanging(first: str, text: str) -> list[str]:
         for paragraph, lead in zip(text.split("\n"), [first] + [indent] * text.count("\n"), strict=True)
         for line in textwrap.wrap(
             paragraph,
-            WIDTH,
+            width(),
             initial_indent=lead,
             subsequent_indent=indent,
             break_on_hyphens=False,

@@ -1,23 +1,23 @@
-"""Exceptions of the library; each message states the problem, the value, the expectation and a remedy."""
+"""Exceptions of the library. Each message states what is wrong, the given value, the expected value and a remedy."""
 
 from __future__ import annotations
 
 
 class TaciturnError(ValueError):
-    """Base class of the library's exceptions, whose messages are written for users."""
+    """Base class of the library's exceptions. Their messages are written for users."""
 
 
 class ProblemError(TaciturnError):
-    """Raised for data that are malformed, inconsistent, or outside the range that the theory requires."""
+    """Raised for data that are malformed, contradict each other, or violate a condition of the theory."""
 
 
 class PlacementError(ProblemError):
-    """Raised for nodes or links that a policy kind does not support, but another kind may."""
+    """Raised if a policy kind does not support the given nodes or links. Another policy kind may support them."""
 
 
 class InformationError(TaciturnError):
-    """Raised for a policy in which a node uses a signal that is not available to it."""
+    """Raised for a policy in which a node would have to use a signal that is not available to it."""
 
 
 class UnstableError(TaciturnError):
-    """Raised for a loop that diverges, or a plant without a stabilising gain."""
+    """Raised for a closed loop that diverges, or for a plant that no gain stabilises."""

@@ -1,4 +1,4 @@
-"""Names for packages that extend Taciturn: checked arrays, texts, figures, files, progress, and the end of a command.
+"""Functions for packages that extend Taciturn: checks of arrays, texts, figures, files, progress, and early stopping.
 
 Such a package uses these names, the public names of ``taciturn``, and its modules without an underscore. Its entry
 points add commands, functions, built-in problems and policy kinds.
@@ -22,10 +22,15 @@ from taciturn._arrays import square as square
 from taciturn._arrays import symmetrised as symmetrised
 from taciturn._display import Displayed as Displayed
 from taciturn._figure import HEIGHT as HEIGHT
+from taciturn._figure import Above as Above
+from taciturn._figure import Band as Band
+from taciturn._figure import Curve as Curve
+from taciturn._figure import Lane as Lane
+from taciturn._figure import Level as Level
 from taciturn._figure import Panel as Panel
 from taciturn._figure import Series as Series
+from taciturn._figure import Side as Side
 from taciturn._figure import Size as Size
-from taciturn._figure import Style as Style
 from taciturn._figure import check_format as check_format
 from taciturn._figure import draw as draw
 from taciturn._figure import save as save
@@ -43,6 +48,7 @@ from taciturn._modes import radius as radius
 from taciturn._modes import root as root
 from taciturn._plugins import find_plugins as find_plugins
 from taciturn._plugins import load_plugin as load_plugin
+from taciturn._plugins import problem_folders as problem_folders
 from taciturn._process import ENDED as ENDED
 from taciturn._process import GRACE as GRACE
 from taciturn._process import LIFELINE as LIFELINE
@@ -59,14 +65,20 @@ from taciturn._progress import answered_within as answered_within
 from taciturn._progress import check_time as check_time
 from taciturn._progress import in_notebook as in_notebook
 from taciturn._progress import seconds_left as seconds_left
+from taciturn._progress import watched as watched
 from taciturn._rational import precision as precision
 from taciturn._scipy import crossing as crossing
 from taciturn._scipy import least_squares as least_squares
 from taciturn._scipy import normal_quantile as normal_quantile
 from taciturn._scipy import sobol as sobol
-from taciturn._text import WIDTH as WIDTH
+from taciturn._style import POLICIES as POLICIES
+from taciturn._style import StyleName as StyleName
+from taciturn._style import Thing as Thing
+from taciturn._style import find_style as find_style
+from taciturn._text import number_of as number_of
 from taciturn._text import pairs_text as pairs_text
 from taciturn._text import per_unit as per_unit
 from taciturn._text import percent as percent
 from taciturn._text import table_text as table_text
+from taciturn._text import width as width
 from taciturn._text import wrapped_text as wrapped_text

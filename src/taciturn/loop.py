@@ -1,4 +1,4 @@
-"""Closed loops of plant, policy and network: their assumptions, and the program of one step.
+"""Closed loops of plant, policy and network: the assumptions of their theory, and the program of one step.
 
 ``close`` samples the plant, checks that every node uses only signals that are available to it, and compares the loop
 with the design. The theory of a policy, such as a bound on its cost, applies only to loops that violate none of its
@@ -22,7 +22,7 @@ Source: khashooei2017
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import gcd
 
@@ -31,6 +31,7 @@ import numpy as np
 from taciturn._arrays import Array, count, instance
 from taciturn._display import Displayed
 from taciturn._modes import factor
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
 from taciturn.lqg.kalman import resting_states
@@ -38,6 +39,8 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network, unheard_acknowledgements
+from taciturn.model.limits import Limits
+from taciturn.model.names import Names
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant, about
 from taciturn.model.policy import Policy, with_intervals
@@ -48,14 +51,14 @@ from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
-from taciturn.program.ops import Name, Precision, Sent, named
+from taciturn.program.ops import Name, Precision, Sent, Silence, named
 from taciturn.program.signals import TIMETABLE, add_changes, add_jumps, draw_noise
 from taciturn.program.tracing import trace
 from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state
 
 
 def check_plants(problem: Discrete, policy: Policy) -> None:
-    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant."""
+    """Raise an error if design plant and simulated plant differ in a property that only simulations use."""
     plant, model = problem.plant, policy.model
     begun = policy.cost is not None and policy.cost.mission
     ignored = {
@@ -67,12 +70,12 @@ def check_plants(problem: Discrete, policy: Policy) -> None:
     for name in (name for name, unused in ignored.items() if unused):
         raise ProblemError(
             f"plant.{name} is given, but the simulated plant, plant.actual, has a different {name} or none; expected "
-            f"plant.actual.{name} with the same value, or no plant.{name}, which the design does not use"
+            f"plant.actual.{name} with the same value, or no plant.{name}, since the design does not use it"
         )
 
 
 def list_violations(problem: Discrete, policy: Policy, network: Network, missing: Sequence[str]) -> tuple[str, ...]:
-    """Return the properties ``missing`` in the theory's coverage, and the differences from the design, as text."""
+    """List, as texts, the assumptions of the policy's theory that do not hold in a loop."""
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     exact, designed = network.delivery, policy.network.delivery
@@ -110,15 +113,20 @@ NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Loop(Displayed):
-    """A closed loop z⁺ = F z + G w with a trigger, as a program of one step.
+    """A closed loop of a plant, a policy and a network: z⁺ = F z + G w, and a trigger that decides when to send.
 
     Args:
         problem: the discrete-time plant with its weights.
         policy: the policy.
         network: the network.
-        violated_assumptions: differences between the loop and its design; the policy's theory applies only without any.
+        violated_assumptions: differences between the loop and its design; the policy's theory applies only if there are
+            none.
         precision: precision of the simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as fast.
         counted: the same loop in deviations from the operating point, if this loop is in the units of the plant.
+        limits: limits of the states, for figures; they do not affect the loop.
+        names: names of outputs and inputs, for figures.
+        settings: parameters of the policy and the ``file`` of the problem as text, by which a title tells two loops
+            apart.
 
     Raises:
         ProblemError: the precision is unknown, or cannot represent this cost.
@@ -130,6 +138,9 @@ class Loop(Displayed):
     violated_assumptions: tuple[str, ...]
     precision: Precision = "float64"
     counted: Loop | None = None
+    limits: Limits | None = None
+    names: Names | None = None
+    settings: Mapping[str, str] = field(default_factory=lambda: {})
 
     def __post_init__(self) -> None:
         """Check the precision."""
@@ -137,10 +148,10 @@ class Loop(Displayed):
             raise ProblemError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
         size = abs(self.policy.theory.cost_all_time or 0.0) * self.policy.tick
         if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
-            remedy = "precision 'float64', or " if self.precision == "float32" else ""
+            remedy = ", or precision 'float64'" if self.precision == "float32" else ""
             raise ProblemError(
-                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside this format's "
-                f"range; expected {remedy}a rescaled problem, for example with other units of Q and R, or of W"
+                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside the range of "
+                f"this format; expected a rescaled problem, for example with other units of Q and R, or of W{remedy}"
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
@@ -149,18 +160,18 @@ class Loop(Displayed):
             )
 
     def summary(self) -> Mapping[str, object]:
-        """Return the policy, the cost of sending every sample, the plant and the network by name."""
+        """Return the values to display: policy, cost of sending every sample, plant, network and number format."""
         shown = {"policy": self.policy.kind, "cost_all_time": self.policy.theory.cost_all_time, "nominal": self.nominal}
         return {**shown, "plant": self.problem.short(), "network": self.network.short(), "precision": self.precision}
 
     @property
     def nominal(self) -> bool:
-        """True if plant, network and cost are those of the policy's design, so that its theory applies."""
+        """True if the loop has the plant, the network and the cost of the policy's design, so that the theory holds."""
         return not self.violated_assumptions
 
     @cached_property
     def in_units(self) -> Loop:
-        """The loop in the units of the plant, as nodes run it; a loop counts from the policy's operating point."""
+        """The loop in the plant's own units, as nodes run it, instead of in deviations from the operating point."""
         if self.problem.plant.operating_point is None:
             return self
         told = self.violated_assumptions or ("states and inputs are in the units of the plant",)
@@ -169,7 +180,7 @@ class Loop(Displayed):
 
     @property
     def deviations(self) -> Loop:
-        """The loop in deviations from the operating point, in which analyses count: no step of it adds a constant."""
+        """The loop in deviations from the operating point. The cost weights these deviations."""
         return self.counted or self
 
     @property
@@ -179,18 +190,22 @@ class Loop(Displayed):
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """The parts that every interpreter of the loop must cover."""
+        """Parts of the loop, such as plant and network. A simulation or analysis must support the properties of all
+        parts.
+        """
         problem = self.problem
         return problem.source, problem.plant, problem.cost, self.network, self.policy.parts
 
     @property
     def identity(self) -> Identity | None:
-        """Identity for the cost by the policy's theory, or None if it does not apply."""
+        """The theory's formula for the cost of the loop; None if an assumption of the theory does not hold."""
         return self.policy.theory.identity if self.nominal else None
 
     @property
     def horizon(self) -> int | None:
-        """Steps of a finite-horizon run: the horizon of the cost, or the step after which a discount is negligible."""
+        """Number of steps of one run: the horizon of the cost, or the steps until the discount is negligible; else
+        None.
+        """
         cost = self.problem.cost
         if cost.discount < 1:
             return int(np.ceil(np.log(NEGLIGIBLE) / np.log(cost.discount)))
@@ -198,20 +213,22 @@ class Loop(Displayed):
 
     @property
     def reducible(self) -> bool:
-        """True if the loop has the same distribution as a loop that is driven by the filter's innovations."""
+        """True if a simulation without the plant, driven by the innovations, has the same distribution."""
         gaussian = self.problem.gaussian and self.policy.theory.innovations is not None
         return self.nominal and gaussian and self.horizon is None
 
-    def program(self) -> Program:
-        """Return the program of one step of the loop, including the plant.
+    def program(self, uniforms: int = 0) -> Program:
+        """Return the program that computes one step of the loop, including the plant and the random numbers.
+
+        In each step, the program draws at least ``uniforms`` uniform numbers.
 
         Sums: COST of the stage, EXCESS (completed square, if an identity applies), packets sent on each link, and
         control variates. Outputs: the signals that ``taciturn.simulation`` records.
         """
-        return with_draws(with_controls(self.whole_program()))
+        return with_draws(with_controls(self.whole_program()), uniforms)
 
     def open_program(self) -> Program:
-        """Return the program of one step of the loop with noise as an input.
+        """Return the program that computes one step of the loop from given noise.
 
         Inputs: process noise ``w``, measurement noise ``v``, and uniform numbers. Outputs: those of ``program``, and
         ``drawn``, the uniform numbers that the policy draws. The states ``x`` come first.
@@ -220,7 +237,9 @@ class Loop(Displayed):
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
-        """Return the program of one step of the plant alone, from ``input`` to COST, and ``x`` and ``y`` after it."""
+        """Return the program that computes stage cost, state and output of the plant alone in one step, from
+        the input.
+        """
         # a state that affects neither cost nor measurement of a later step, such as a register that is measured, is an
         # output alone
         plant, targets = self.problem.plant, self.policy.targets.values()
@@ -236,9 +255,10 @@ class Loop(Displayed):
         return with_draws(tick.finish({}, outputs | named("x", tick.signals["x"])))
 
     def reduced_program(self) -> Program:
-        """Return the program of one step of the loop in innovations form, without the plant.
+        """Return the program that computes one step of the loop without the plant, driven by the filter's innovations.
 
-        Its distribution is that of ``program`` with a steady filter; its stage cost adds tr(QΣ) to the estimate's.
+        It has the same distribution as ``program`` with a steady filter. Its stage cost is that of the estimate plus
+        tr(QΣ).
 
         Raises:
             ProblemError: the loop has no innovations form.
@@ -248,10 +268,12 @@ class Loop(Displayed):
         return with_draws(with_controls(self.innovations_program()))
 
     def innovations_program(self, begin: Begin = TimeStep) -> Program:
-        """Return the program of a step in innovations form, with random numbers as inputs, translated by ``begin``."""
+        """Return the program of one step of the loop, driven by the innovations. Its random numbers are inputs."""
         innovations = self.policy.theory.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
+            raise ProblemError(
+                "the loop has no innovations form; expected the plant, network and horizon of the design"
+            )
         spread = factor(innovations.covariance)
         tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
         tick.signals[INNOVATION_DRAWS] = tick.supplied(NORMAL, spread.shape[1])
@@ -270,10 +292,10 @@ class Loop(Displayed):
         return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0, stationary: bool = False) -> Array:
-        """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths).
+        """Draw the initial states of a program, (states, paths), for the simulated paths ``first``, ``first`` + 1, …
 
-        A ``stationary`` start is at a random step of a timetable of set-points, among those at which the step counters
-        of the policy begin: if both repeat, they keep the phase in which they began together.
+        A ``stationary`` start begins at a random step of a timetable of set-points. If the policy also repeats a
+        schedule, only steps at which the schedule starts are drawn, so that schedule and timetable keep their offset.
         """
         plant, network = self.problem.plant, self.network
         x, draws = self.start_of_plant(paths, seed, first)
@@ -294,14 +316,14 @@ class Loop(Displayed):
         return np.array(rows).reshape(len(rows), paths)
 
     def start_of_plant(self, paths: int, seed: int, first: int = 0) -> tuple[Array, np.random.Generator]:
-        """Return the initial states of the plant, (n, paths), and the generator for what else is drawn at the start."""
+        """Draw the initial states of the plant, (n, paths). Also return the random number generator, for more draws."""
         plant = self.problem.plant
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
         return plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T, draws
 
     def final_cost(self, program: Program, states: Array) -> Array | None:
-        """Return the terminal cost of each path, (paths,), or None if the cost has no terminal weight.
+        """Compute the terminal cost of each path, (paths,); return None if the cost does not weight the final state.
 
         Args:
             program: a program with the state ``x``.
@@ -315,20 +337,20 @@ class Loop(Displayed):
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 
     def from_final_target(self, x: Array) -> Array:
-        """Return final states, (n,) or (paths, n), as deviations from their target: a reference, a point, or both."""
+        """Return the final states minus their target, which may be a set-point, an operating point, or their sum."""
         tracking, rest = self.policy.tracking, self.problem.rest
         x = x if tracking is None else x - tracking.final
         return x if rest is None else x - rest.x
 
-    def ticks(self, ticks: object) -> int:
-        """Return a number of steps after checking that it is at least 1 and at most the horizon of the cost.
+    def checked_steps(self, steps: object) -> int:
+        """Check that a number of steps is at least 1 and at most the horizon of the cost, and return it.
 
         Raises:
             ProblemError: the number is invalid.
         """
-        wanted, horizon = count("ticks", ticks), self.problem.cost.horizon
+        wanted, horizon = count("steps", steps), self.problem.cost.horizon
         if horizon is not None and wanted > horizon:
-            raise ProblemError(f"ticks is {wanted}, but the horizon is {horizon}; expected at most {horizon}")
+            raise ProblemError(f"steps is {wanted}, but the horizon is {horizon}; expected at most {horizon}")
         return wanted
 
     def _tick(self, extra: Mapping[str, int], begin: Begin = TimeStep) -> TimeStep:
@@ -338,7 +360,7 @@ class Loop(Displayed):
         return begin_time_step(self.policy, self.network, sizes, initial, self.precision, begin)
 
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
-        """Return the program of one step of the loop with random numbers as an input."""
+        """Return the program that computes one step of the loop, including the plant. Its random numbers are inputs."""
         # These are normal numbers, or with ``supplied`` the noise ``w`` and ``v``. ``begin`` is the class of the step.
         tick = self._tick({"x": self.problem.plant.states}, begin)
         if supplied:
@@ -405,6 +427,7 @@ class Loop(Displayed):
         if self.identity is not None:
             sums[EXCESS] = tick.pick(self.identity.on, [tick.form(form) for form in self.identity.forms])
         sums |= {Sent(link): tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
+        sums |= {Silence(links): tick.read(one.added)[0] for links, one in self.policy.theory.silence.items()}
         discount = self.problem.cost.discount
         if discount < 1:
             (weight,) = tick.read(WEIGHT)
@@ -413,11 +436,12 @@ class Loop(Displayed):
         return sums
 
     def _outputs(self, tick: TimeStep, more: tuple[str, ...]) -> dict[Name, int]:
-        shown = [*more, *(name for name in ("y", REFERENCE, "estimate", "applied") if name in tick.signals)]
+        names = ("y", REFERENCE, "estimate", "applied", *self.policy.targets.values())
+        shown = [*more, *(name for name in names if name in tick.signals)]
         outputs: dict[Name, int] = {}
         for signal in shown:
             outputs |= named(signal, tick.signals[signal])
-        return outputs | tick.option_values() | tick.packets()
+        return outputs | tick.option_values() | tick.scalars | tick.packets()
 
 
 def close(
@@ -445,20 +469,26 @@ def close(
     instance("policy", policy, Policy)
     cost = policy.cost if cost is None else cost
     if cost is None:
-        raise ProblemError(f"cost is missing, and {policy.kind} was designed without a cost; expected a cost")
+        raise ProblemError(
+            f"cost is missing, and the policy {policy.kind} was designed without a cost; expected a cost for the loop"
+        )
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     assumed = policy.disturbance
-    if assumed is not None and plant.states == policy.model.stated - policy.model.inputs:
+    without = (policy.model.alone or policy.model).stated - policy.model.inputs  # the states without this disturbance
+    if assumed is not None and plant.states == without:
         plant = assumed.added_to(plant, cost.mission)
-    if assumed is not None and len(cost.Q) == policy.model.stated - policy.model.inputs:
+    if assumed is not None and len(cost.Q) == without:
         cost = padded(cost, policy.model.inputs)
     period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
     problem = discretise(plant, cost, period, policy.prediction)
     for name, size in (("states", "stated"), ("inputs", "inputs"), ("outputs", "outputs")):
         got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:
-            raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
+            raise ProblemError(
+                f"the plant of the loop has {got} {name}; expected {expected} {name}, as in the plant of the policy's "
+                "design"
+            )
     problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
     problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem
     SIMULATED.check(network, policy.parts, policy.designed_for)
@@ -467,7 +497,8 @@ def close(
     check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
-            f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
+            f"cost.horizon is {cost.horizon}, but the reference has {number_of(policy.cost.horizon, 'step')}; "
+            "expected a horizon as long as the reference"
         )
     missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
     loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing))

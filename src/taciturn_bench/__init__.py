@@ -1,1 +1,1 @@
-"""The simulation speed of this machine: ``bench`` measures it, ``commands`` has the command ``bench``."""
+"""Simulation speed of this machine: ``bench`` measures it, and ``commands`` defines the command ``taciturn bench``."""

@@ -1,4 +1,4 @@
-"""Simulation speed of this machine: the two-mass loop on one thread, compared with a plain NumPy program."""
+"""Measure how fast this machine simulates the problem ``two-mass-lqg``, with Taciturn and with a NumPy program."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typing import ClassVar, cast
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Progress, count, number, temporary_folder, wrapped_text
+from taciturn.extend import Array, Progress, count, number, temporary_folder
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.model.result import Field, Tabular
+from taciturn.model.result import VERDICT, Field, Tabular
 from taciturn.model.steps import Assign
 from taciturn.problem import load
 from taciturn.program import machine
@@ -63,7 +63,8 @@ class Bench(Tabular):
     """Measured speeds and ratios."""
 
     FIELDS: ClassVar[tuple[Field[Bench], ...]] = (
-        Field("machine"),
+        VERDICT,
+        Field("machine", say="", text=lambda found: list(found.machine.items()), part="method"),
         Field("speeds", key="steps_per_second", json=lambda speeds: {name: round(one) for name, one in speeds.items()}),
         Field("ratios", json=_rounded(4), say="", text=_ratios),
         Field("compile_seconds", json=_rounded(5), say="", text=_compiled),
@@ -79,25 +80,27 @@ class Bench(Tabular):
     compile_seconds: Mapping[str, float] = field(hash=False)
     variance_ratios: Mapping[str, float] = field(hash=False)  # variance reductions of the estimators, per step
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that states the speed of the fastest program and names the processor of this machine."""
+        name, speed = max(self.speeds.items(), key=lambda row: row[1])
+        machine = f"{self.machine['processor']} ({self.machine['vectors']})"
+        return (f"{speed / 1e6:.4g} million steps per second of the two-mass loop ({name}, one thread) on {machine}",)
+
     def table_rows(self) -> Sequence[tuple[str, float]]:
-        """Return the contestants and their speeds."""
+        """Return the rows of the table, one for each compared program with its speed."""
         return tuple(self.speeds.items())
 
     def row_fields(self) -> tuple[Field[tuple[str, float]], ...]:
-        """Return name and speed of a contestant."""
+        """Return the columns of the table: the name and the speed of each compared program."""
         return (
             Field("name", lambda row: row[0], column="name", say=""),
             Field("speed", lambda row: row[1], column="steps_per_second", say="million steps/s", text=_millions),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn bench`` prints."""
-        processor = f"{self.machine['processor']} ({self.machine['vectors']})"
-        return f"{wrapped_text(f'two-mass loop, {processor}, one thread, medians')}\n{super().__str__()}"
-
 
 def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
-    """Measure the simulation engine and the estimators on the two-mass loop, in alternating rounds."""
+    """Measure how fast Taciturn simulates the two-mass loop, and how much its estimators reduce the variance."""
     rounds = count("rounds", rounds, 3)
     number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
@@ -118,13 +121,13 @@ def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
 
 
 def masses() -> Loop:
-    """Return the loop of the built-in problem ``two-mass-lqg``."""
+    """Return the closed loop of the built-in problem ``two-mass-lqg``."""
     problem = load("two-mass-lqg")
     return problem.close(problem.design())
 
 
 def contestants(loop: Loop) -> dict[str, Contestant]:
-    """Return the programs that are compared, by name."""
+    """Return the programs whose simulation speed is compared, by name."""
     single = replace(loop, precision="float32")
     return {
         FULL: compiled(loop, loop.program()),
@@ -135,7 +138,7 @@ def contestants(loop: Loop) -> dict[str, Contestant]:
 
 
 def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = TICKS) -> Contestant:
-    """Return the compared program that runs machine code on one thread."""
+    """Return the simulation program that is compiled to machine code and runs on one thread."""
     kept = program.keep(SUMS)
     kernel, link = Kernel(kept, build), Sent(loop.policy.scheduled[0])
 
@@ -147,7 +150,7 @@ def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = T
 
 
 def by_matrices(loop: Loop, paths: int, ticks: int) -> Contestant:
-    """Return the compared program that uses NumPy's matrices and generator, for one path or several side by side."""
+    """Return a simulation of the loop written in NumPy, for one or several paths, with which Taciturn is compared."""
     problem, plant, policy = loop.problem, loop.problem.plant, loop.policy
     A, B, C = plant.A, plant.B, plant.C
     steps = {step.signal: step.branches[0] for step in policy.steps if isinstance(step, Assign)}
@@ -184,7 +187,7 @@ def race(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.thread_time,
 ) -> dict[str, list[float]]:
-    """Return the steps per second of each compared program in each round after a warm-up round."""
+    """Measure how many steps per second each program simulates, in several rounds after a warm-up round."""
     speeds: dict[str, list[float]] = {name: [] for name in entries}
     for k in range(rounds + 1):
         for name, run in entries.items():
@@ -198,7 +201,7 @@ def race(
 
 
 def gain_of_threads(loop: Loop, rounds: int) -> float:
-    """Return the ratio of the wall times with one and with two threads, as the median of the rounds."""
+    """Measure how much faster a simulation is on two threads than on one, as the median of several rounds."""
     program = loop.reduced_program().keep({EXCESS})
     kernel, states = Kernel(program), loop.start(program, PATHS, 0)
     found: list[float] = []
@@ -213,7 +216,7 @@ def gain_of_threads(loop: Loop, rounds: int) -> float:
 
 
 def compile_times(loop: Loop) -> dict[str, float]:
-    """Return the compile times in seconds, without and with the cache on disk, as medians of five repetitions."""
+    """Measure compile times in seconds, without and with the cache on disk, as medians of five compilations."""
     program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
     before = os.environ.get("XDG_CACHE_HOME")
     try:
@@ -232,7 +235,7 @@ def compile_times(loop: Loop) -> dict[str, float]:
 
 
 def variance_ratios(loop: Loop) -> dict[str, float]:
-    """Return the factors by which completed squares and control variates reduce the variance of a mean cost."""
+    """Return the factors by which completed squares and control variates reduce the variance of the estimated cost."""
     full, reduced = loop.program().keep({COST}), loop.reduced_program()
     controls = [name for name in reduced.sums if isinstance(name, Control)]
     plain, squares = (_settled_sums(loop, program) for program in (full, reduced.keep({EXCESS, *controls})))
@@ -252,7 +255,7 @@ def _settled_sums(loop: Loop, program: Program) -> Mapping[Name, Array]:
 
 
 def describe_machine() -> dict[str, str]:
-    """Return processor, vector instructions and versions."""
+    """Return the name of the processor, its vector instructions, and the versions of the packages used."""
     name = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -271,7 +274,7 @@ def describe_machine() -> dict[str, str]:
 
 
 def version(package: str) -> str:
-    """Return the version of an installed package, or "none"."""
+    """Return the version of an installed package, or "none" if it is not installed."""
     with suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
     return "none"

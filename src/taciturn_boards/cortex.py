@@ -1,4 +1,4 @@
-"""Compiles exported nodes for Cortex-M, runs them on boards that QEMU emulates, and counts their instructions."""
+"""Compile exported nodes for Cortex-M boards, run them in the emulator QEMU, and count processor instructions."""
 
 from __future__ import annotations
 
@@ -63,25 +63,25 @@ _WRAPPED = ("tac_receive", "tac_step", "tac_send")
 
 
 def self_check(folder: CFolder) -> Main:
-    """Return the self-check of exported nodes as a program for a board."""
+    """Return the C program that runs the self-check of exported nodes on a board."""
     return Main(folder.sources)
 
 
 def measurement(folder: CFolder) -> Main:
-    """Return the self-check of exported nodes as a program that counts instructions on QEMU."""
+    """Return the C program that runs the self-check in QEMU and counts the instructions of each node's step."""
     wrapped = tuple(f"-Wl,--wrap={name}" for name in ("main", *(f"{one}_{folder.sizes}" for one in _WRAPPED)))
     return Main((*self_check(folder).files, "measure.c"), wrapped)
 
 
 def in_the_loop(node: CNode) -> Main:
-    """Return a program with one node, whose steps a host requests over the UART; ``loop.c`` defines the frames."""
+    """Return a C program with one node, which executes a step for each request on the UART (as in ``loop.c``)."""
     names = {"LOOP_HEADER": f'"{node.name}.h"', "LOOP_NODE": node.name, "LOOP_START": f"{node.name}_start"}
     sources = (*CORE_SOURCES, f"{node.name}.c", "loop.c")
     return Main(sources, tuple(f"-D{name}={value}" for name, value in names.items()))
 
 
 def compile_for(board: EmulatedBoard, folder: CFolder, main: Main, into: Path, level: Optimisation = "-O2") -> Path:
-    """Compile exported nodes for a board; warnings are errors.
+    """Compile a C program with exported nodes for a board; every compiler warning counts as an error.
 
     Args:
         board: target board.
@@ -119,7 +119,7 @@ def run_on(
     counting: bool = False,
     patience: float = PATIENCE,
 ) -> str:
-    """Run a program on a board, and return its output.
+    """Run a program on an emulated board, and return the text that it prints.
 
     Args:
         board: the board.
@@ -149,7 +149,7 @@ def check_on(
     level: Optimisation = "-O2",
     patience: float = PATIENCE,
 ) -> str:
-    """Run the self-check on a board, and return the line that it prints if it passes.
+    """Run the self-check on an emulated board, and return the line that it prints when it passes.
 
     Args:
         board: the board.
@@ -167,7 +167,7 @@ def check_on(
 
 
 def emulate(board: EmulatedBoard, program: Path, options: Sequence[str]) -> list[str]:
-    """Return the command that runs a program on a board.
+    """Return the command that runs a program on an emulated board.
 
     Raises:
         ProblemError: the emulator is missing.
@@ -177,7 +177,7 @@ def emulate(board: EmulatedBoard, program: Path, options: Sequence[str]) -> list
 
 
 class Count(NamedTuple):
-    """The mean and the largest number of instructions per step.
+    """Mean and largest number of processor instructions per step of a node.
 
     Args:
         mean: mean over the steps.
@@ -191,7 +191,7 @@ class Count(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """The instruction counts of a node.
+    """Numbers of processor instructions that an exported node executes.
 
     Args:
         step: instructions of the code generated for the policy; exact.
@@ -211,7 +211,7 @@ def count_instructions(
     level: Optimisation = "-O2",
     patience: float = PATIENCE,
 ) -> dict[str, Counts]:
-    """Run the self-check, and return the numbers of instructions of each node's steps.
+    """Run the self-check on an emulated board, and count the processor instructions of each node's steps.
 
     An instruction takes one or more cycles of the processor.
 

@@ -1,4 +1,4 @@
-"""Processor in the loop: a node on an emulated board, which a host steps over the serial port."""
+"""Processor-in-the-loop tests: a node runs on an emulated board, and the host requests its steps over a serial port."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SPACE = 1 << 20  # size of the receive buffer in bytes
 
 
 class StepResult(NamedTuple):
-    """The result of a step of a node.
+    """The result of one step of a node: the packets that it sends and the control input that it computes.
 
     Args:
         gone: whether the node executed the step; false if it is not later than the last step, or if a measurement is
@@ -95,7 +95,7 @@ class NodeOnBoard:
     def step(
         self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None
     ) -> StepResult:
-        """Let the node on the board execute a step, and return its packets and input.
+        """Make the node on the board execute one step, and return its packets and its control input.
 
         Args:
             tick: number of the step, larger than that of the last step.

@@ -1,4 +1,4 @@
-"""Certificates of switched linear loops by quadratic Lyapunov functions; each is verified before it is returned.
+"""Certificates of switched linear loops from quadratic Lyapunov functions, verified with bounds on rounding errors.
 
 V(z) = z'P_iz if the action i is taken; some certificates use one P for all actions. Some inequalities must hold only if
 i is taken now (and j next). The S-procedure subtracts non-negative multiples of the margins by which i (and j) has the
@@ -34,25 +34,25 @@ ONCE = 2  # and the amount by which V may be below 0
 
 
 class NoCertificateError(ProblemError):
-    """Raised if no solution of a certificate's matrix inequalities was found, or if it could not be verified."""
+    """Error raised if no solution of a certificate's matrix inequalities is found, or if none can be verified."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Displayed):
-    """A proof of a loop's property: matrix inequalities, and a solution verified with bounds on rounding errors."""
+    """Proof of a property of a loop: matrix inequalities, and a solution that was verified despite rounding errors."""
 
     inequalities: Inequalities  # the inequalities that were solved
     solution: Unknowns  # the matrix P of each action (or one for all), and the multipliers
 
     @property
     def matrices(self) -> tuple[Array, ...]:
-        """Lyapunov matrix P of each action of the loop, or one matrix for all actions."""
+        """Lyapunov matrices P: one matrix for each action of the loop, or a single matrix for all actions."""
         return self.solution.matrices
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decay(Displayed):
-    """A proven decay rate ρ of a loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero."""
+    """Proven decay rate ρ of a loop without noise: V(z⁺) ≤ ρ²V(z) + β. If β is 0, the state converges to zero."""
 
     rate: float  # ρ per step
     residual: float  # β, which is 0 if the trigger has no constants
@@ -64,9 +64,9 @@ class Decay(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gain(Displayed):
-    """A proven l2 gain γ of a loop from noise w to cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + a constant.
+    """Proven l2 gain γ from the noise w to the cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + a constant.
 
-    It holds for every noise signal w and z_0 = 0.
+    The inequality holds for every noise signal w, for z_0 = 0.
     """
 
     value: float  # γ, from noise in units of its standard deviation to the root of the stage cost
@@ -77,14 +77,14 @@ class Gain(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Moment(Displayed):
-    """A proven bound on a loop's average stage cost or mean-square state under white noise of unit covariance."""
+    """Proven bound on a loop's average stage cost or mean-square state under white noise of unit covariance."""
 
     value: float  # the bound, per step
     proof: Certificate  # proof with one P for all actions: E[z⁺'Pz⁺] ≤ z'Pz − form + bound
 
 
 def find_decay(loop: Switched) -> Decay:
-    """Return a proven decay rate of a switched linear loop without noise.
+    """Compute a proven decay rate of a switched linear loop without noise.
 
     The result is the least ρ with F_i'P_jF_i ⪯ ρ²P_i after the S-procedure at i and at j, and P_i ≻ 0 if i is taken. A
     bisection finds it, and verifies each ρ that it tries.
@@ -93,8 +93,9 @@ def find_decay(loop: Switched) -> Decay:
     found = _falling(loop, widest, LAST)
     if found is None:
         raise NoCertificateError(
-            f"no decay by {1 - LAST:.0e} per step can be proved with quadratic Lyapunov functions of {loop.states} "
-            f"coordinates, one for each of {len(loop.labels)} actions; expected a trigger that sends more often"
+            f"a decay by {1 - LAST:.0e} per step could not be proved with quadratic Lyapunov functions of "
+            f"{loop.states} coordinates, one for each of {len(loop.labels)} actions; expected a trigger that sends "
+            "more often"
         )
     low, rate = 0.0, LAST
     for _ in range(HALVINGS):
@@ -113,7 +114,7 @@ def find_decay(loop: Switched) -> Decay:
 
 
 def find_gain(loop: Switched) -> Gain:
-    """Return a proven bound on the l2 gain of a switched linear loop from any noise to the cost.
+    """Compute a proven bound on the l2 gain of a switched linear loop from arbitrary noise to the cost.
 
     The function first finds the least γ with V(F_iz + Gw) − z'P_iz + z'M_iz ≤ γ²|w|² + β after the S-procedure at i and
     at j, and then the least β for 1.05 γ.
@@ -133,7 +134,7 @@ def find_gain(loop: Switched) -> Gain:
 
 
 def bound_cost(loop: Switched) -> Moment:
-    """Return a proven bound on a loop's average stage cost per step under white noise, including ``constant``.
+    """Compute a proven bound on a loop's average stage cost under white noise, and add ``constant`` to the bound.
 
     The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
     residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or
@@ -143,7 +144,7 @@ def bound_cost(loop: Switched) -> Moment:
 
 
 def bound_state(loop: Switched) -> Moment:
-    """Return a proven bound on the mean square E|x|² of the plant's state under white noise."""
+    """Compute a proven bound on the mean square E|x|² of the plant's state under white noise."""
     return _moment(loop, (loop.X.T @ loop.X,) * len(loop.labels), loop.hidden)
 
 
@@ -163,7 +164,7 @@ class _Asked:
         scalars: Sequence[tuple[int, Array]] = (),
         left: Inequality | None = None,
     ) -> None:
-        """Add a matrix inequality that must hold whenever the given actions of the loop are taken."""
+        """Add a matrix inequality for all steps at which the loop takes the given actions."""
         terms, numbers = list(scalars), [] if left is None else list(left.scalars)
         for action, T in where:
             for D, d in self.loop.margins(action):
@@ -178,7 +179,7 @@ class _Asked:
             self.listed.append(Inequality(left.constant, left.squares, [each for each in numbers if each[1].any()]))
 
     def all(self) -> Inequalities:
-        """Return all matrix inequalities that were added to this list."""
+        """Return all matrix inequalities that were added."""
         return Inequalities(self.sizes, self.scalars, tuple(self.listed))
 
 

@@ -1,29 +1,45 @@
-"""Certificates of one loop by matrix inequalities: decay, gain and cost, with those of sending every sample."""
+"""Certificates of one loop from matrix inequalities: decay rate, l2 gain and cost, compared with every sample sent."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, answered_within, pairs_text, radius, table_text
+from taciturn.extend import (
+    Displayed,
+    Level,
+    Panel,
+    Series,
+    Size,
+    StyleName,
+    answered_within,
+    draw,
+    radius,
+    table_text,
+)
 from taciturn.loop import Loop
 from taciturn.lqg.equation import accumulate
-from taciturn.model.estimate import rounded
-from taciturn.model.result import Field, Tabular, plain_fields, seconds
+from taciturn.model.estimate import Estimate, rounded
+from taciturn.model.result import VERDICT, Field, Tabular, plain_fields, seconds
 from taciturn.model.theory import ErrorGain
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.program.draws import GENERATOR
 from taciturn.study.evaluation import TimeUnit, time_unit
+from taciturn.study.sentences import THAN, percent_above
 from taciturn_certify.certificates import NoCertificateError, bound_cost, bound_state, find_decay, find_gain
 from taciturn_certify.inequalities import expect_solver
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDE = 10.0  # ratio of the largest and the smallest number above which their axis is logarithmic
 Found = TypeVar("Found")
 
 
@@ -41,6 +57,31 @@ class _Row(Displayed):
         return "E|x|²" if self.name == "mean square" else self.name
 
 
+def _verdict(found: Certificates) -> str:
+    """Return what is proved about the cost, and the decay."""
+    told, base = list[str](), found.cost_all_time
+    bound = found.errors_bound if found.cost_bound is None else found.cost_bound
+    noise = " for any noise" if found.cost_bound is None else ""
+    if bound is not None and base:
+        above = percent_above(Estimate(bound, 0.0, "bound"), base, 1, signed=False)
+        told.append(f"at most {above} more cost{THAN}{noise}")
+    elif bound is not None:
+        told.append(f"cost at most {_most(bound)} per {found.unit}{noise}")
+    else:
+        told.append("no bound on the cost")
+    if found.decay is not None:
+        every = "" if found.decay_all_time is None else f" (every sample: {found.decay_all_time:.4g})"
+        told.append(f"without noise, decay by {rounded(found.decay, 4, 1)} per step{every}")
+    return f"proven: {'; '.join(told)}"
+
+
+def _any_noise(found: Certificates) -> str:
+    """Return the bound on the cost that follows from the gains from errors of links."""
+    if not found.errors:
+        return ""
+    return f"at most {_most(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
+
+
 def _policy(found: Certificates) -> str:
     return f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
 
@@ -51,9 +92,9 @@ def _meanings(found: Certificates) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, repr=False)
 class Certificates(Tabular):
-    """Certificates of a loop, and the corresponding numbers for sending every sample.
+    """Certificates of a loop, next to the same quantities of the loop that sends every sample.
 
-    A number that could not be proved is None, and a note gives the reason. The numbers for sending every sample are
+    A number that could not be proven is None, and a note gives the reason. The numbers for sending every sample are
     None if no action of the trigger sends on every link that the policy decides on, or if this loop is unstable.
 
     Args:
@@ -81,15 +122,18 @@ class Certificates(Tabular):
     """
 
     FIELDS: ClassVar[tuple[Field[Certificates], ...]] = (
-        Field("policy", say="policy", text=_policy, above=True),
-        *plain_fields("unit", "method", "states", "actions", "decay", "limit", "overshoot", "decay_all_time"),
+        VERDICT,
+        Field("policy", say="policy", text=_policy, after="certificates"),
+        Field("unit"),
+        Field("method", say="method", part="method"),
+        *plain_fields("states", "actions", "decay", "limit", "overshoot", "decay_all_time"),
         *plain_fields("gain", "gain_residual", "gain_all_time", "cost_bound", "cost_all_time"),
         *plain_fields("mean_square_bound", "mean_square_all_time"),
         Field("errors", lambda found: {link: vars(one) for link, one in found.errors.items()}),
-        Field("errors_bound"),
-        Field("seconds", json=seconds),
+        Field("errors_bound", say="cost", text=_any_noise, after="policy"),
+        Field("seconds", json=seconds, say="time", text="{:.3g} s", part="method"),
         Field("certificates", key="", say="", text=_meanings),
-        Field("notes", optional=True),
+        Field("notes", optional=True, say="note", after="errors_bound"),
     )
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "method", "states", "notes")
     method: ClassVar[str] = "matrix inequalities"
@@ -114,6 +158,11 @@ class Certificates(Tabular):
     seconds: float
     notes: tuple[str, ...]
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that states the proven bounds on the cost and on the decay rate."""
+        return (_verdict(self),)
+
     def table_rows(self) -> Sequence[_Row]:
         """Return the certificates."""
         ends = "to 0" if self.limit == 0 else f"until the cost is at most {_shown(self.limit)} per {self.unit}"
@@ -126,29 +175,86 @@ class Certificates(Tabular):
         )
 
     def row_fields(self) -> tuple[Field[_Row], ...]:
-        """Return the proved number and the one for sending every sample."""
+        """Return the columns of the table: each proven number, and the same number with every sample sent."""
         return (
             Field("name", column="name", say="", text=lambda row: row.label),
             Field("value", lambda row: row.value, column="proved", say="proved", none="none", up=1),
             Field("every_sample", column="every_sample", say="every sample", text="{:.6g}", none="none"),
         )
 
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot each proven number relative to sending every sample, and the gains from each link's error to the cost.
+
+        Two decay factors are compared by the ratio of their time constants.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure, one for each panel.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+
+        Raises:
+            ProblemError: no number can be compared with that of every sample, and no error of a link is bounded.
+        """
+        panels = [*_ratios(self), *_link_errors(self)]
+        if not panels:
+            raise ProblemError(
+                "the certificates contain no number that can be compared with sending every sample; expected at "
+                "least one such number"
+            )
+        return draw(panels, ax, figsize, style)
+
     def table(self) -> str:
-        """Return the certificates as text, unless nothing could be proved."""
+        """Return the certificates as a table; its text is empty if nothing could be proven."""
         return super().table() if any(row.value is not None for row in self.table_rows()) else ""
 
-    def remarks(self) -> Iterator[str]:
-        """Yield the gains from errors of links, and the notes."""
-        if self.errors:
-            links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in self.errors.items()]
-            yield table_text(["link", "gain from its error", "largest error"], links, 1)
-            bound = f"at most {_most(self.errors_bound)} per {self.unit}, for any noise: conservative, not an estimate"
-            yield pairs_text([("cost", bound)])
-        yield pairs_text([("note", note) for note in self.notes])
+    def table_texts(self) -> Sequence[str]:
+        """Return a table of the certificates, and a table of the gains from errors of links with dead bands."""
+        links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in self.errors.items()]
+        return (self.table(), table_text(["link", "gain from its error", "largest error"], links, 1) if links else "")
+
+
+def _ratios(found: Certificates) -> list[Panel]:
+    """Return the panel of the proved numbers, relative to those of sending every sample."""
+    rows = list[tuple[str, float, str]]()
+    for row in found.table_rows():
+        value, every = row.value, row.every_sample
+        if value is None or every is None or not 0 < every < np.inf:
+            continue
+        ratio = value / every
+        if row.label == "decay":
+            if not 0 < value < 1 or not every < 1:
+                continue
+            ratio = float(np.log(every) / np.log(value))
+        rows.append(("time constant" if row.label == "decay" else row.label, ratio, f"{_shown(value)}, {every:.4g}"))
+    rows = rows[::-1]  # the first is the uppermost
+    if not rows:
+        return []
+    places, ratios = [float(row) for row in range(len(rows))], [ratio for _, ratio, _ in rows]
+    return [
+        Panel(
+            [Series(ratios, places, "", "bars", thing="guarantee")],
+            "proved, as a multiple of every sample (right: proved, every sample)",
+            names=[name for name, _, _ in rows],
+            notes=[note for _, _, note in rows],
+            levels=[Level(1.0, "every sample", axis="x")],
+            xlog=max(ratios) > WIDE * min(ratios),
+        )
+    ]
+
+
+def _link_errors(found: Certificates) -> list[Panel]:
+    """Return the panel of what the error of each link adds to the root of the cost."""
+    rows = [(link, one.gain * one.largest) for link, one in found.errors.items()][::-1]
+    if not rows:
+        return []
+    series = [Series([added for _, added in rows], range(len(rows)), "", "stalks", thing="guarantee")]
+    names, notes = [link for link, _ in rows], [_shown(added) for _, added in rows]
+    label = "gain × largest error of a link: √cost, at most"
+    return [Panel(series, label, names=names, notes=notes, xlim=(0.0, None))]
 
 
 def certify(problem: Studied, *, time_limit: float | None = None) -> Certificates:
-    """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
+    """Compute certificates of decay rate, l2 gain and cost for a problem's loop, from quadratic Lyapunov functions.
 
     Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
     it is returned. For dead bands, the gains from errors of links to the cost are added (``Theory.errors``); they also

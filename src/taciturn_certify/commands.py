@@ -7,12 +7,16 @@ from taciturn.cli.frame import (
     File,
     Json,
     NoFunctions,
+    PictureStyle,
+    Plot,
     Settings,
     TimeLimit,
+    Verbose,
     app,
     load_changed,
     print_result,
     progress_bar,
+    save_picture,
 )
 
 
@@ -22,6 +26,9 @@ def certify(
     settings: Settings = None,
     no_functions: NoFunctions = False,
     as_json: Json = False,
+    verbose: Verbose = False,
+    plot: Plot = None,
+    style: PictureStyle = None,
     time: TimeLimit = None,
 ) -> None:
     """Compute certificates of decay rate, l2 gain and cost from linear matrix inequalities."""
@@ -31,4 +38,5 @@ def certify(
     with answered_within(time), progress_bar("certifying"):
         problem = load_changed(file, settings, no_functions)
         found = taciturn.certify(problem)
-    print_result(found, as_json, problem)
+    print_result(found, as_json, verbose, problem)
+    save_picture(found, plot, style, as_json, problem)

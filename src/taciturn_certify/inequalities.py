@@ -1,4 +1,4 @@
-"""Linear matrix inequalities: a solver finds a solution, which is then proved.
+"""Linear matrix inequalities: a numerical solver finds a solution, and interval arithmetic proves that it is one.
 
 cvxpy and Clarabel, optional dependencies, find a solution (``Minimum``). The left side of each inequality is enclosed
 for the solution as it is stored: in double precision with bounds on every rounding, and in balls where these bounds are
@@ -21,12 +21,12 @@ from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, Unprove
 
 
 def expect_solver() -> None:
-    """Check that the solver for matrix inequalities is installed."""
+    """Raise an error if no solver for semidefinite programs is installed."""
     _solver()
 
 
 class Minimum:
-    """A semidefinite program with a given share: minimise objective'x so that all blocks mat((A + share·S) x + b) ⪰ 0.
+    """Semidefinite program: minimise objective'x so that every mat((A + share·S) x + b) ⪰ 0, for a parameter ``share``.
 
     cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
     """
@@ -45,7 +45,7 @@ class Minimum:
         self._problem = cp.Problem(cp.Minimize(objective @ self._x), listed)
 
     def at(self, share: float) -> Array | None:
-        """Return the solution x for a value of the share, or None if the solver finds none.
+        """Solve the program for one value of ``share``; return None if the solver finds no solution.
 
         The solution satisfies the inequalities only to the precision of the solver, so the caller must verify it.
         """
@@ -72,7 +72,8 @@ def _solver() -> Any:
             return import_module("cvxpy")
     except ImportError as error:
         raise ProblemError(
-            f"{error.name or 'cvxpy'} is not installed, but certificates require it: pip install 'taciturn[certify]'"
+            f"the package {error.name or 'cvxpy'} is not installed, but certificates require it: pip install "
+            "'taciturn[certify]'"
         ) from None
 
 
@@ -82,7 +83,7 @@ Square = tuple[float, int, Array]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequality(Displayed):
-    """Linear matrix inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 in matrices P_k and scalars s_j."""
+    """Linear matrix inequality: constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 with matrices P_k and scalars s_j."""
 
     constant: Array  # symmetric matrix, (n, n)
     squares: Sequence[Square] = ()  # the triple (weight, k, T) of each term with an unknown matrix
@@ -99,14 +100,14 @@ class Unknowns(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequalities(Displayed):
-    """Set of linear matrix inequalities in symmetric matrices of given sizes and in scalars s ≥ 0."""
+    """Linear matrix inequalities in symmetric matrices P_k and scalars s_j ≥ 0."""
 
     sizes: tuple[int, ...]  # sizes of the unknown matrices P_k
     scalars: int  # number of the unknown scalars
     listed: tuple[Inequality, ...]  # the inequalities
 
     def minimise(self, weights: Mapping[int, float], margin: float) -> Unknowns | None:
-        """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None."""
+        """Minimise Σ weight·scalar so that each inequality holds with a margin; return None if that is impossible."""
         blocks = [(A, 0 * A, b - margin * np.eye(len(b))) for A, b in map(self.block, self.listed)]
         objective, signed = np.zeros(blocks[0][0].shape[1]), self.signed
         for j, weight in weights.items():
@@ -115,13 +116,13 @@ class Inequalities(Displayed):
         return None if found is None else self.solution(found)
 
     def shortfall(self, solution: Unknowns) -> float:
-        """Return 0 if a solution provably satisfies every inequality; otherwise the largest possible violation."""
+        """Return 0 if a solution provably satisfies every inequality, otherwise a bound on the largest violation."""
         if len(solution.scalars) and not solution.scalars.min() >= 0:
             return float("inf")
         return max((_shortfall(one, solution) for one in self.listed), default=0.0)
 
     def raised(self, solution: Unknowns, index: int) -> Unknowns:
-        """Return a solution with one scalar increased until the scalar inequalities that contain it hold."""
+        """Return a solution in which one scalar is increased until every scalar inequality that contains it holds."""
         scalars = np.array(solution.scalars)
         for one in self.listed:
             weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
@@ -133,17 +134,17 @@ class Inequalities(Displayed):
         return Unknowns(solution.matrices, scalars)
 
     def value(self, position: int, solution: Unknowns) -> Array:
-        """Return the left-hand side of an inequality, computed for a given solution."""
+        """Evaluate the matrix on the left-hand side of an inequality ⪰ 0 for a given solution."""
         return _enclosed(Doubles, self.listed[position], solution).middle
 
     @property
     def signed(self) -> range:
-        """Indices of the scalars in the vector of all unknowns."""
+        """Indices of the scalars s_j among all unknowns; the solver keeps these entries non-negative."""
         first = sum(size * (size + 1) // 2 for size in self.sizes)
         return range(first, first + self.scalars)
 
     def solution(self, values: Array) -> Unknowns:
-        """Return a solution (matrices and scalars) from the vector of all unknowns."""
+        """Split a vector of all unknowns into the matrices and the scalars of a solution."""
         matrices: list[Array] = []
         at = 0
         for size in self.sizes:
@@ -155,7 +156,7 @@ class Inequalities(Displayed):
         return Unknowns(tuple(matrices), np.maximum(values[at:], 0.0))
 
     def block(self, one: Inequality) -> tuple[Array, Array]:
-        """Return the coefficient matrix of the unknowns in an inequality, (n², unknowns), and its constant."""
+        """Return the coefficients of the unknowns in an inequality, shape (n², unknowns), and its constant term."""
         n = len(one.constant)
         starts = np.cumsum([0, *(size * (size + 1) // 2 for size in self.sizes)])
         A = np.zeros((n, n, int(starts[-1]) + self.scalars))
@@ -170,9 +171,9 @@ class Inequalities(Displayed):
 
 
 class Widest:
-    """Search for the solution with the largest common margin of inequalities that depend linearly on a parameter.
+    """Search for the solution of matrix inequalities with the largest margin; the inequalities depend on a parameter.
 
-    They are interpolated between two lists of the same structure.
+    The inequalities are interpolated between two lists of the same structure.
     """
 
     def __init__(self, first: Inequalities, last: Inequalities) -> None:
@@ -187,7 +188,7 @@ class Widest:
         self._first, self._minimum = first, Minimum(objective, blocks, first.signed)
 
     def at(self, share: float) -> Unknowns | None:
-        """Return the solution at a parameter from 0 (first list) to 1 (last list), or None if no margin is positive."""
+        """Solve the inequalities for a parameter value from 0 to 1; return None if no solution with a margin exists."""
         found = self._minimum.at(share)
         return None if found is None or found[-1] <= 0 else self._first.solution(found[:-1])
 

@@ -1,4 +1,4 @@
-"""The loops that share a channel, their common step, and the cost of their periodic control.
+"""Loops that share a channel: their error dynamics, their common time step, and their cost under periodic control.
 
 ``gather`` reads the loops from problems. A loop of a class checks its error e⁺ = F e + w at every m-th step of the
 channel; a check without a send costs e'Γe beyond the cost with every send (``Kind``).
@@ -45,7 +45,7 @@ HALVINGS = 200
 
 
 class Clocked:
-    """An error e⁺ = F e + w that a periodic send resets at every k-th check and that costs e'Γe at all other checks."""
+    """Error e⁺ = F e + w under periodic control: a send at every k-th check resets it, and other checks cost e'Γe."""
 
     def __init__(self, F: Array, noise: Array, Gamma: Array) -> None:
         """Compute the first intervals."""
@@ -60,7 +60,7 @@ class Clocked:
             self.forever = 0.0
 
     def cost(self, rate: float) -> float:
-        """Return the mean cost per check of periodic sending at a rate between 0 and 1 sends per check."""
+        """Return the mean cost per check of periodic control at a send rate between 0 and 1 sends per check."""
         if rate * LONGEST_INTERVAL < 1:
             return self.forever
         interval = max(1 / rate, 1.0)
@@ -70,13 +70,13 @@ class Clocked:
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
 
     def sums(self, intervals: Places) -> Array:
-        """Return the costs S(k) of whole intervals of k ≥ 1 checks between sends; infinite above the longest."""
+        """Return the total cost S(k) of k checks between two sends, for each k; infinity if k is too large."""
         self._extend(int(intervals.max(initial=1)))
         most = len(self._sums)
         return np.where(intervals <= most, self._sums[np.minimum(intervals, most) - 1], np.inf)
 
     def interval(self, price: float) -> float:
-        """Return the optimal number of checks between sends for a price per send; infinity if no send pays off."""
+        """Return how many checks between sends cost least at a price per send; infinity if sending never pays off."""
         while True:
             count = np.arange(1, len(self._weights) + 1)
             with np.errstate(over="ignore", invalid="ignore"):  # infinite values are sorted last
@@ -89,7 +89,7 @@ class Clocked:
             self._extend(2 * len(gains))
 
     def least_rate(self, cost: float) -> float:
-        """Return the least rate 1/k with an integer k at which the mean cost per check is at most ``cost``."""
+        """Return the lowest periodic send rate 1/k, with integer k, whose mean cost per check is at most ``cost``."""
         while self._sums[-1] < cost * len(self._sums) and len(self._sums) < LONGEST_INTERVAL and not self._is_settled():
             self._extend(2 * len(self._weights))
         count = np.arange(1, len(self._sums) + 1)
@@ -124,7 +124,7 @@ class LoopClass(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Allocation(Displayed):
-    """Optimal rates of periodic control for several classes of loops on a shared channel."""
+    """Optimal send rates for several classes of loops under periodic control on a shared channel."""
 
     rates: Array  # sends per check of each class, (classes,)
     price: float  # price per send at which each class would choose its rate by itself; 0 if all can send at every check
@@ -132,7 +132,7 @@ class Allocation(Displayed):
 
 
 def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
-    """Return the rates of all classes that minimise the total cost, with at most ``capacity`` sends per step."""
+    """Compute the send rates of all classes that minimise the total cost, with at most ``capacity`` sends per step."""
     counts = np.array([sharer.count / sharer.every for sharer in sharers])
     if counts.sum() <= capacity:
         return Allocation(np.ones(len(sharers)), 0.0, np.zeros(len(sharers)))
@@ -163,12 +163,12 @@ def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
 
 
 def allocate_slots(sharers: Sequence[LoopClass], capacity: int) -> float:
-    """Return the least cost per step of periodic control in which each class has slots of its own; infinite for none.
+    """Return the least cost per step if each class sends periodically in its own slots; infinity if that is impossible.
 
-    The loops of a class check in turns: in each step, those of one phase. They send one after the other in the slots of
-    the class, so that their intervals are the whole numbers next to the mean one, whose cost is that of ``Clocked``. So
-    this cost is attained, and that of ``allocate`` is a lower bound. Since it is convex in the number of slots, each
-    further slot goes to the class that gains most from it.
+    The loops of a class check in turn: in each step, the loops of one phase. The loops send one after the other in the
+    slots of the class, so that their intervals are the integers next to the mean interval, whose cost is that of
+    ``Clocked``. Therefore this cost is attained, and the cost of ``allocate`` is a lower bound. Since the cost is
+    convex in the number of slots, each further slot goes to the class that gains most from it.
     """
 
     def cost(sharer: LoopClass, slots: int) -> float:
@@ -208,7 +208,7 @@ LONGEST_CYCLE = 10_000  # largest number of steps after which the checks of all 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Kind(Displayed):
-    """The loops of one problem, with plant, cost, and a certainty-equivalent controller that predicts at the actuator.
+    """Identical loops of one problem: plant, cost, and a controller that predicts the state at the actuator.
 
     The error is e⁺ = F e (1−σ) + w. A check without a send costs e'Γe beyond sending every sample, in the units of the
     cost times steps; so a loop that checks at every other step has twice the weight.
@@ -226,12 +226,12 @@ class Kind(Displayed):
 
     @property
     def looks(self) -> float:
-        """Number of checks per step of all loops that share the channel."""
+        """Number of checks per step, summed over all loops of this problem."""
         return self.count / self.every
 
 
 def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind, ...]:
-    """Return the loops of some problems, with the given number of copies of each."""
+    """Return the loops of several problems that share a channel, with a given number of copies of each problem."""
     instance("problems", problems, Mapping)
     if not problems:
         raise ProblemError("problems is empty; expected at least one problem, whose loops share the channel")
@@ -279,8 +279,8 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
         loop = close(problem.actual or problem.plant, policy)
         if loop.violated_assumptions:
             raise ProblemError(
-                f"{loop.violated_assumptions[0]}; expected the plant and cost of the design for loops on a shared "
-                "channel"
+                f"a loop on the shared channel is not that of the design: {loop.violated_assumptions[0]}; expected the "
+                "plant and cost of the design"
             )
         if loop.problem.jumps is not None:
             raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")
@@ -315,8 +315,8 @@ def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
         without = next(name for name, period in periods.items() if period is None)
         other = next(name for name, period in periods.items() if period is not None)
         raise ProblemError(
-            f"{without} has no plant.dt, but {other} checks every {periods[other]:g} s; expected plant.dt in all "
-            "problems, for a common step"
+            f"the problem {without} has no plant.dt, but the loop of {other} checks every {periods[other]:g} s; "
+            "expected plant.dt in all problems, for a common step"
         )
     if len(set(seconds)) > 1 and unit == "step":
         listed = ", ".join(f"{name} {period:g} s" for name, period in periods.items())

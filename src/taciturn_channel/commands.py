@@ -11,10 +11,12 @@ from taciturn.cli.frame import (
     Confidence,
     Json,
     NoFunctions,
+    PictureStyle,
     Plot,
     Seed,
     Settings,
     TimeLimit,
+    Verbose,
     Workers,
     app,
     complete_file,
@@ -36,30 +38,40 @@ def channel(
         ),
     ],
     copies: Annotated[
-        str, typer.Option(metavar="M[,M…]", help="Number of loops of each problem, or one number for all.")
+        str,
+        typer.Option(
+            metavar="M[,M…]",
+            help="Number of loops of each problem: one number per file, or one number for all files.",
+        ),
     ],
-    capacity: Annotated[int, typer.Option(help="Largest number of sends per step, from 1 to the number of loops.")],
+    capacity: Annotated[
+        int, typer.Option(help="Largest number of packets per step on the channel, from 1 to the number of loops.")
+    ],
     scheduler: Annotated[
         str,
         typer.Option(
-            help="Scheduler: price, largest, round-robin, tdma, once-discard or random-access.",
+            help="Scheduler of the channel: price, largest, round-robin, tdma, once-discard or random-access.",
             autocompletion=complete_from("price", "largest", "round-robin", "tdma", "once-discard", "random-access"),
         ),
     ] = "price",
     settings: Settings = None,
     no_functions: NoFunctions = False,
     as_json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
+    style: PictureStyle = None,
     seed: Seed = 0,
     standard_error: Annotated[
-        float | None, typer.Option(help="Standard error of the total cost. Default: 1e-3 of the total cost.")
+        float | None, typer.Option(help="Requested standard error of the total cost. Default: 1e-3 of the total cost.")
     ] = None,
-    ticks: Annotated[int | None, typer.Option(help="Fixed number of simulated steps per channel.")] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Number of steps of each simulated channel, in place of --standard-error.")
+    ] = None,
     confidence: Confidence = None,
     workers: Workers = 1,
     time: TimeLimit = None,
 ) -> None:
-    """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
+    """Simulate many loops that share one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
     from taciturn.extend import answered_within
     from taciturn.model.theory import LEVEL
@@ -75,22 +87,23 @@ def channel(
                 scheduler=cast("Any", scheduler),
                 seed=seed,
                 standard_error=standard_error,
-                ticks=ticks,
+                steps=steps,
                 confidence=LEVEL if confidence is None else confidence,
                 executor=executor,
                 progress=progress,
             )
-    print_result(found, as_json, problems, seed)
-    save_picture(found, plot, as_json, problems, seed, found.method)
+    print_result(found, as_json, verbose, problems, seed)
+    save_picture(found, plot, style, as_json, problems, seed, found.method)
     if not found.reached:
         refuse("the standard error was not reached; give a larger --standard-error")
 
 
 def numbers_of(option: str, text: str) -> list[int]:
-    """Return the integers of a comma-separated list."""
+    """Convert a comma-separated text to a list of integers."""
+    from taciturn.cli.usage import whole_number
     from taciturn.errors import ProblemError
 
     try:
-        return [int(part) for part in text.split(",")]
+        return [int(whole_number(part)) for part in text.split(",")]
     except ValueError:
         raise ProblemError(f"{option} is {text!r}; expected integers, such as 1000 or 500,20") from None

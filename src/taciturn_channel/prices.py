@@ -1,4 +1,4 @@
-"""Rates of loops as a function of the price per send; the price for a given load, and a lower bound.
+"""Send rates of loops for a price per send, the price at which they meet a given load, and a lower bound on the cost.
 
 At a price λ per send, each loop alone has a nearly optimal schedule: that of a fitted value function
 (``taciturn_limits.fitted``), or the best threshold if sends are too rare for a fit. Its rate is simulated. The load of
@@ -70,7 +70,7 @@ _KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(Displayed):
-    """A nearly optimal schedule for one kind of loops at a price per send."""
+    """A nearly optimal send schedule for identical loops, at a given price per send."""
 
     price: float  # price per send, in the units of the cost times steps
     urgency: Form  # cost of silence minus cost of a send, as a function of the error
@@ -79,7 +79,7 @@ class Schedule(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Settled(Displayed):
-    """The schedule and the lower bound of one kind of loops at a price per send."""
+    """A nearly optimal send schedule and a lower bound on the cost for identical loops, at a given price per send."""
 
     schedule: Schedule  # a nearly optimal schedule
     # lower bound on the mean cost of a check, including the price of sends: a number, or a sampled bound; None if no
@@ -89,7 +89,7 @@ class Settled(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Job(Displayed):
-    """A computation for one kind of loops."""
+    """Data for computing the send schedule of identical loops at a given price per send."""
 
     kind: Kind  # kind of loops
     price: float  # price per send
@@ -99,20 +99,20 @@ class Job(Displayed):
 
     @property
     def key(self) -> Hashable:
-        """Cache key with all data on which the answer of the job depends."""
+        """Key under which the cache stores the result of this computation: all data on which the result depends."""
         return _numbers(self.kind), self.price, self.seed, self.confidence, self.precise
 
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """Lower bound on the cost of a set of loops under any scheduler."""
+    """Lower bound on the total cost of a set of loops, valid for every possible scheduler."""
 
     cost: float  # sum over all loops, in the units of the cost
     confidence: float | None  # confidence of the bound, or None if it is computed entirely by quadrature
 
 
 class Curves:
-    """Rates of nearly optimal schedules of several kinds of loops over the price per send, tabulated on demand."""
+    """Send rates of several kinds of loops for a price per send, if each loop follows its nearly optimal schedule."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class Curves:
         self.table: dict[int, Array] = {}
 
     def rates(self, price: float) -> Array:
-        """Return the sends per check of each kind of loops at a price per send."""
+        """Return the number of sends per check for each kind of loops, at a given price per send."""
         place = PER_OCTAVE * np.log2(price)
         below = int(np.floor(place))
         share = float(place - below)
@@ -141,16 +141,16 @@ class Curves:
         return np.where(np.minimum(low, high) > 0, power, (1 - share) * low + share * high)[self._which]
 
     def load(self, price: float) -> float:
-        """Return the sends per step of all loops at a price per send, if no loop has to wait."""
+        """Return the expected sends per step of all loops at a given price per send, if no loop has to wait."""
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return the schedule of each kind of loops at a price and, if a confidence is given, its lower bound."""
+        """Compute each schedule at a price per send and, if ``confidence`` is given, the lower bound on the cost."""
         found = self._ask(_settle, price, confidence, self._precise(price) if confidence else 0.0)
         return [found[which] for which in self._which]
 
     def price_of(self, capacity: float, guess: float) -> float:
-        """Return the common price per send at which the load equals the capacity; 0 if the load is always below."""
+        """Return the price per send at which the loops just use the whole capacity; 0 if they never need all of it."""
         if sum(kind.looks for kind in self.kinds if kind.clocked.forever) <= capacity:
             return 0.0
         place = round(PER_OCTAVE * float(np.log2(guess)))
@@ -173,7 +173,7 @@ class Curves:
         return float(2.0 ** (place / PER_OCTAVE))
 
     def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = LEVEL) -> DualBound:
-        """Return a lower bound on the cost of any scheduler of these loops at a capacity."""
+        """Compute a lower bound on the total cost of these loops at a given capacity, valid for every scheduler."""
         from taciturn_limits.dual import SampledDual, bound_sum
 
         base = sum(kind.count * kind.cost_all_time for kind in self.kinds)
@@ -300,7 +300,7 @@ def _lowest(places: Array, values: Array) -> float:
 
 
 def clock_cost(kind: Kind, price: float) -> float:
-    """Return the cost per check of the best periodic control, including the price of its sends."""
+    """Return the cost per check of the best periodic control; the cost includes the price of the sends."""
     interval = kind.clocked.interval(price)
     return kind.clocked.cost(1 / interval) + price / interval
 
@@ -316,7 +316,7 @@ def _saving(kind: Kind, interval: float, price: float) -> Form:
 
 
 def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[Estimate, float]:
-    """Return sends and cost per check of loops whose sends are never blocked, at approximately the rate ``about``."""
+    """Simulate loops that never wait for the channel; return send rate and cost. ``about`` is the expected rate."""
     looks = int(np.clip(SETTLE / max(about, RAREST), SHORTEST, LONGEST))
     while True:
         loops = int(np.clip(MEASURED // looks, FEWEST, LOOPS))

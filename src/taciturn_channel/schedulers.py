@@ -1,4 +1,4 @@
-"""Schedulers of a channel: their trigger and access rules, and the measurement of their cost.
+"""Schedulers of a channel: trigger rules, access rules, and the simulation that estimates their cost.
 
 A scheduler has an urgency, a function of the error of each kind of loops, and an access rule, which decides what loops
 send (``Plan``). ``Game`` has the references for all of them: the best periodic allocation, and the common price per
@@ -50,7 +50,7 @@ WORK = 50_000_000  # most steps of all loops together
 
 
 def best_stretch(sharers: Sequence[LoopClass], access: Access, rates: Array, cycle: int) -> float:
-    """Return the least cost per step of a stretch of a schedule that is repeated, or infinity if there is none."""
+    """Return the least cost per step of any part of a schedule that can repeat periodically; infinity if none can."""
     classes, phases, every = _places(sharers)
     loops = len(classes)
     longest = 1 / rates[rates > 0].min() if (rates > 0).any() else 0.0
@@ -63,7 +63,7 @@ def best_stretch(sharers: Sequence[LoopClass], access: Access, rates: Array, cyc
     silent, best = {cycle_place: np.zeros((1, len(at))) for cycle_place, at in enumerate(active)}, np.inf
 
     def between(places: Places, steps: Places) -> Array:
-        """Return S of the intervals of some loops."""
+        """Return the cost S(k) of the k checks between two sends, for each of the given loops."""
         found = np.zeros(len(places))
         for number, sharer in enumerate(sharers):
             here = classes[places] == number
@@ -110,6 +110,7 @@ SHORTEST_STRETCH = 64  # least steps of a stretch
 STRETCHES = 32  # least number of stretches, over all channels
 BUDGET = 20_000_000_000  # checks of all loops together
 RELATIVE_ERROR = 1e-3  # default standard error, relative to the cost
+DIGITS = 12  # of a rate that rounding leaves
 LOST = 1e6  # a loop that costs more than this multiple of the cost of every sample is not stabilised
 LOADS = (1.6, 0.15)  # range of loads for the price of random access, relative to the largest throughput
 TRIALS = 9  # largest number of prices that are tried for random access
@@ -119,7 +120,7 @@ RISES = 3  # consecutive increases of the cost that end these trials
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Displayed):
-    """The rules of a scheduler: the urgency of each kind of loops, and a function that creates the access rule."""
+    """A scheduler: the urgency of a send as a function of each loop's error, and the access rule of the channel."""
 
     urgencies: Sequence[Form]
     access: Callable[[], Access]
@@ -129,7 +130,7 @@ class Plan(Displayed):
 
 
 class Game:
-    """The loops, the capacity, and the references for all schedulers: best periodic allocation and lower bound."""
+    """Loops on a channel of given capacity, with two costs for comparison: the best periodic one and a lower bound."""
 
     def __init__(
         self,
@@ -155,28 +156,28 @@ class Game:
 
     @cached_property
     def price(self) -> float:
-        """Common price per send at which the expected load equals the capacity."""
+        """Common price per send at which the expected load equals the capacity of the channel."""
         return self.curves.price_of(self.capacity, self.clocked.price / CLOCK or 1.0)
 
     @cached_property
     def settled(self) -> list[Settled]:
-        """Schedule and lower bound of each kind of loops at the common price."""
+        """Schedule and lower bound on the cost of each kind of loops, at the common price per send."""
         return self.curves.settle(self.price, self.confidence) if self.price else []
 
     @property
     def bound(self) -> DualBound | None:
-        """Lower bound on the cost of any scheduler, or None if no confidence was requested."""
+        """Lower bound on the total cost under every scheduler; None if no confidence was requested."""
         if not self.confidence:
             return None
         return self.curves.bound(self.settled, self.capacity, self.price, self.confidence)
 
     def refuse_starved(self, best: Allocation) -> None:
-        """Raise an error if even the best periodic control does not stabilise the loops."""
+        """Raise an error if even the best periodic control cannot stabilise all loops at this capacity."""
         every = np.array([kind.every for kind in self.kinds])
         self.refuse_lost(every * best.costs, best.rates)
 
     def priced(self, price: float) -> tuple[list[Form], Estimate]:
-        """Return the urgency of each kind of loops at a common price per send, and the load if no loop has to wait."""
+        """Return each kind's urgency function at a price per send, and the expected load if no loop waits."""
         if not price:  # every loop that gains anything from a send requests it
             load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
             return [Form((RULE_ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
@@ -189,9 +190,10 @@ class Game:
 
     @cached_property
     def attained(self) -> float:
-        """Cost per step of the best periodic schedule found, or infinity.
+        """Cost per step of the best periodic schedule that the search has found; infinity if it has found none.
 
-        The schedules are slots of its own for each kind of loops, and repeated stretches of time division.
+        The schedules that are compared are separate slots for each kind of loops, and repeated stretches of time
+        division.
         """
         apart = allocate_slots(self.sharers, self.capacity)
         if apart <= float(self.counts @ self.clocked.costs):  # no schedule costs less
@@ -200,7 +202,7 @@ class Game:
         return self.cost_all_time + min(apart, best_stretch(self.sharers, time_division(self), rates, self.cycle))
 
     def play(self, plan: Plan, channels: int) -> SharedChannel:
-        """Return channels on which a plan is simulated; all errors are initially 0."""
+        """Create the channels on which a scheduler is simulated; each simulation begins with errors that are 0."""
         groups = [
             Group(kind.F, kind.noise, kind.Gamma, urgency, kind.count, kind.every)
             for kind, urgency in zip(self.kinds, plan.urgencies, strict=True)
@@ -209,12 +211,12 @@ class Game:
 
     @property
     def channels(self) -> int:
-        """Number of channels that are simulated side by side."""
+        """Number of independent channels that are simulated in parallel."""
         return int(np.clip(PATHS // self.loops, 1, CHANNELS))
 
     @property
     def burn_in(self) -> int:
-        """Steps until the initial errors of 0 have no effect, from send intervals or time constants of the errors."""
+        """Number of initial steps that are discarded, because the simulated errors start at 0."""
         longest = SHORTEST_STRETCH
         for kind, rate in zip(self.kinds, self.clocked.rates.tolist(), strict=True):
             sends = BURN_IN / rate if rate else np.inf
@@ -224,19 +226,20 @@ class Game:
         return -(-longest // self.cycle) * self.cycle
 
     def refuse_uncontrolled(self, stretch: Stretch) -> None:
-        """Raise an error if loops were not stabilised in a simulated interval."""
+        """Raise an error if some loops stayed unstable under the simulated scheduler."""
         self.refuse_lost(stretch.cost.mean(axis=0) / self.looks, stretch.sends.mean(axis=0) / self.looks)
 
     def refuse_lost(self, cost: Array, rates: Array) -> None:
-        """Raise an error if unstable loops send too rarely to be stabilised."""
+        """Raise an error if unstable loops send too rarely to be stable."""
         for kind, each, rate in zip(self.kinds, cost.tolist(), rates.tolist(), strict=True):
             limit = LOST * max(kind.every * kind.cost_all_time, float(np.sum(kind.Gamma * kind.noise)))
             if kind.clocked.growth >= 1 and not each <= limit:
                 raise UnstableError(
-                    f"{kind.name}: its loops are unstable (an error grows by {kind.clocked.growth:.4g} per check) and "
-                    f"send {rate:.3g} times per check each, so a loop costs over {LOST:.0e} times as much as with a "
-                    f"send at every check; expected at least {kind.clocked.least_rate(limit):.3g} sends per check for "
-                    "periodic control, and more for random sends: raise capacity, or reduce the number of loops"
+                    f"the loops of {kind.name} are unstable: an error grows by {kind.clocked.growth:.4g} per check, "
+                    f"but each loop sends only {rate:.3g} times per check, so it costs over {LOST:.0e} times as much "
+                    f"as with a send at every check; expected at least {kind.clocked.least_rate(limit):.3g} sends per "
+                    "check for periodic control, and more for random sends: raise capacity, or reduce the number of "
+                    "loops"
                 )
 
 
@@ -258,12 +261,16 @@ def _round_robin(game: Game) -> Plan:
 
 
 def time_division(game: Game) -> TimeDivision:
-    """Return the access rule in which each loop sends at its rate in the best periodic allocation."""
+    """Return the access rule in which each loop sends periodically, at its rate in the best periodic allocation."""
     kinds = game.kinds
     rates = np.concatenate(
         [np.full(kind.count, rate / kind.every) for kind, rate in zip(kinds, game.clocked.rates, strict=True)]
     )
-    phases = np.concatenate([(np.arange(kind.count) + 0.5) / kind.count for kind in kinds])
+    phases = np.empty(len(rates))
+    _, groups = np.unique(np.round(rates, DIGITS), return_inverse=True)
+    for group in range(groups.max() + 1):  # loops with the same rate take turns, whether they are copies or not
+        loops = np.flatnonzero(groups == group)
+        phases[loops] = (np.arange(len(loops)) + 0.5) / len(loops)
     return TimeDivision(game.capacity, rates, phases)
 
 
@@ -304,7 +311,7 @@ SCHEDULERS: Mapping[str, Callable[[Game], Plan]] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measured(Displayed):
-    """Results of a simulated scheduler per interval: excess costs, sends by loop kind, channel use, waiting loops."""
+    """Simulated results of a scheduler: extra cost and sends of each kind of loops, channel use, and waiting loops."""
 
     costs: Array
     sends: Array
@@ -314,21 +321,21 @@ class Measured(Displayed):
     reached: bool
 
 
-def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | None) -> Measured:
-    """Simulate several channels side by side until the sum of costs has the requested standard error."""
+def measure(game: Game, plan: Plan, standard_error: float | None, steps: int | None) -> Measured:
+    """Simulate several independent channels until the total cost has the requested standard error."""
     channels, channel, kept = game.channels, game.play(plan, game.channels), list[Stretch]()
-    length = game.burn_in if ticks is None else min(game.burn_in, -(-ticks // 2 // game.cycle) * game.cycle)
+    length = game.burn_in if steps is None else min(game.burn_in, -(-steps // 2 // game.cycle) * game.cycle)
     game.refuse_uncontrolled(channel.run(game.burn_in))
     while True:
         kept.append(channel.run(length))
         game.refuse_uncontrolled(kept[-1])
-        measured, known = len(kept) * length, len(kept) * channels >= (2 if ticks else STRETCHES)
+        measured, known = len(kept) * length, len(kept) * channels >= (2 if steps else STRETCHES)
         if not known:
             continue
         total = mean(np.concatenate([one.cost.sum(axis=1) for one in kept]))
         target = standard_error or RELATIVE_ERROR * (total.value + game.cost_all_time)
-        reached = measured >= ticks if ticks else total.standard_error <= target
-        done = measured / ticks if ticks else (target / (total.standard_error or target)) ** 2
+        reached = measured >= steps if steps else total.standard_error <= target
+        done = measured / steps if steps else (target / (total.standard_error or target)) ** 2
         game.progress(PREPARED + (1 - PREPARED) * min(1.0, done))
         if reached or measured * channels * game.loops > BUDGET:
             return Measured(

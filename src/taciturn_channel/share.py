@@ -1,4 +1,4 @@
-"""Many loops on one channel, with a bound below the cost of every scheduler: ``taciturn.share_channel`` and its result.
+"""Many loops that share one channel, with a lower bound on the cost: ``taciturn.share_channel`` and its result.
 
 The loops of ``classes`` share the channel by one of the ``schedulers``, whose cost is measured by simulation. It is
 compared with the best periodic control and with the lower bound at the price of a send at which the load equals the
@@ -16,11 +16,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.extend import (
+    Above,
     Displayed,
+    Level,
     Panel,
     Progress,
     Series,
     Size,
+    StyleName,
+    Thing,
     answered_within,
     choice,
     count,
@@ -28,16 +32,17 @@ from taciturn.extend import (
     in_notebook,
     instance,
     number,
-    pairs_text,
     percent,
+    table_text,
 )
 from taciturn.model.estimate import Estimate, rounded
-from taciturn.model.result import Field, Tabular, plain_fields
+from taciturn.model.result import VERDICT, Field, Tabular, plain_fields
 from taciturn.model.theory import LEVEL
 from taciturn.problem import Problem
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.evaluation import Unit, cost_unit
+from taciturn.study.sentences import compared_text, more_text, percent_above
 from taciturn_channel.classes import allocate, gather
 from taciturn_channel.prices import DualBound
 from taciturn_channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game, measure
@@ -48,11 +53,12 @@ if TYPE_CHECKING:
 
 SchedulerName: TypeAlias = Literal["price", "largest", "round-robin", "tdma", "once-discard", "random-access"]
 SAME = 1e-9  # relative
+BOUND = 7  # look of the cost below which no scheduler is
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Share(Displayed):
-    """Cost and rate of the loops of one problem on a shared channel.
+    """Cost and send rate of the loops of one problem on a shared channel.
 
     Args:
         name: name of the problem.
@@ -78,34 +84,50 @@ def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
-def _above(found: Sharing, cost: float) -> str:
-    """Return by how much a cost is above that of sending every sample."""
-    if not found.cost_all_time:
-        return ""
-    share = cost / found.cost_all_time
-    return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
+def _costs(found: Sharing) -> list[tuple[str, str, str]]:
+    """Return name, sum of the costs and excess over every sample of the rows of the table of costs."""
+    base, bound = found.cost_all_time, found.lower_bound
+    rows = [("this scheduler", found.cost, str(found.cost), 0)]
+    timed = {name: cost for name, cost in _periodic(found).items() if isfinite(cost)}
+    rows += [(name, Estimate(cost, 0.0, "exact"), f"{cost:.6g}", 0) for name, cost in timed.items()]
+    rows.append(("every sample", Estimate(base, 0.0, "exact"), f"{base:.6g}", 0))
+    if bound is not None:
+        rows.append(("no scheduler below", Estimate(bound.cost, 0.0, "bound"), rounded(bound.cost, 6, -1), -1))
+    return [
+        (name, text, "" if name == "every sample" or not base else percent_above(cost, base, up))
+        for name, cost, text, up in rows
+    ]
 
 
-def _cost(found: Sharing) -> str:
-    return f"{found.cost} per {found.unit}{_above(found, found.cost.value)}"
+def _periodic(found: Sharing) -> dict[str, float]:
+    """Return the cost of the best periodic allocation, or its bound and the best cost found, by name."""
+    if found.clock_attained:
+        return {"best periodic": found.cost_periodic}
+    return {"no periodic below": found.cost_periodic, "periodic, best found": found.cost_periodic_attained}
 
 
-def _least(found: Sharing) -> str:
+def _verdict(found: Sharing) -> str:
+    """Return the cost, next to that of periodic control and of the best scheduler."""
+    base, bound = found.cost_all_time, found.lower_bound
+    start = f"{found.loops} loops, at most {found.capacity} sends per step: "
+    if not base:
+        return f"{start}sum of costs {found.cost} per {found.unit}"
+    told = [compared_text(found.cost, base)]
+    if isfinite(found.cost_periodic_attained):
+        best = Estimate(found.cost_periodic_attained, 0.0, "exact")
+        told.append(f"best periodic{'' if found.clock_attained else ' found'} {more_text(best, base)}")
+    if bound is not None:
+        least = Estimate(bound.cost, 0.0, "bound")
+        told.append(f"no scheduler below {percent_above(least, base, -1, signed=False)} more")
+    return start + "; ".join(told)
+
+
+def _sure(found: Sharing) -> str:
     bound = found.lower_bound
     if bound is None:
         return ""
-    sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
-    return f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){_above(found, bound.cost)}"
-
-
-def _label(found: Sharing) -> str:
-    return "best periodic" if found.clock_attained else "periodic, bound"
-
-
-def _periodic(found: Sharing) -> list[tuple[str, str]]:
-    costs = {_label(found): found.cost_periodic}
-    costs |= {} if found.clock_attained else {"periodic, found": found.cost_periodic_attained}
-    return [(label, f"{cost:.6g}{_above(found, cost)}") for label, cost in costs.items()]
+    sure = "computed by quadrature" if bound.confidence is None else f"{percent(bound.confidence)} sure"
+    return f"with these controllers costs less than {rounded(bound.cost, 6, -1)} per {found.unit} ({sure})"
 
 
 def _busy(found: Sharing) -> str:
@@ -122,7 +144,7 @@ def _waiting(found: Sharing) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sharing(Tabular):
-    """Cost and load of loops that share a channel.
+    """Total cost and total load of loops that share a channel.
 
     Args:
         scheduler: rule that decides which loops send.
@@ -150,21 +172,17 @@ class Sharing(Tabular):
     """
 
     FIELDS: ClassVar[tuple[Field[Sharing], ...]] = (
+        VERDICT,
         Field("scheduler", say="scheduler"),
-        Field("loops", say="loops", text="{}, at most {of.capacity} sends per step"),
+        Field("loops"),
         *plain_fields("capacity", "unit"),
         Field("rate_unit", lambda _: "step"),
-        Field("method"),
-        Field("cost", json=Estimate.document, say="sum of costs", text=_cost),
-        Field("cost_all_time", say="every sample", text="{:.6g}"),
-        Field(
-            "cost_lower_bound",
-            "lower_bound.cost",
-            say="no less than",
-            text=_least,
-        ),
+        Field("method", say="method", part="method"),
+        Field("cost", json=Estimate.document),
+        Field("cost_all_time"),
+        Field("cost_lower_bound", "lower_bound.cost", say="no scheduler", text=_sure),
         Field("cost_lower_bound_confidence", "lower_bound.confidence"),
-        Field("cost_periodic", json=_finite, say="periodic", text=_periodic),
+        Field("cost_periodic", json=_finite),
         Field("cost_periodic_same_load", json=_finite),
         Field("cost_periodic_attained", json=_finite),
         Field("consistent", say="consistent", text=lambda found: CONSISTENT[found.consistent]),
@@ -174,7 +192,9 @@ class Sharing(Tabular):
         Field("waiting", json=Estimate.document, say="waiting", text=_waiting, after="price"),
         Field("price", say="price", text=_price),
         Field("problems", lambda found: found.row_documents()),
-        *plain_fields("reached", "seed", "seconds"),
+        Field("reached"),
+        Field("seed", say="seed", part="method"),
+        Field("seconds", say="time", text="{:.3g} s, {of.ticks} simulated steps", part="method"),
         Field("notes", say="note"),
     )
     heading: ClassVar[tuple[str, ...]] = (
@@ -212,18 +232,23 @@ class Sharing(Tabular):
     notes: tuple[str, ...] = ()
 
     @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that compares the total cost of the loops with periodic control and with the lower bound."""
+        return (_verdict(self),)
+
+    @property
     def method(self) -> str:
         """Method that gave the costs."""
         return self.cost.method
 
     @property
     def loops(self) -> int:
-        """Number of loops that share the channel."""
+        """Total number of loops that share the channel."""
         return sum(share.copies for share in self.shares)
 
     @property
     def consistent(self) -> bool | None:
-        """True if the loops cost no more than the best periodic allocation; None if undecided within the errors.
+        """Whether the loops cost no more than the best periodic allocation; None if this is statistically undecided.
 
         The margin is 4 standard errors. The cost of the best allocation is between ``cost_periodic`` and
         ``cost_periodic_attained``.
@@ -235,15 +260,15 @@ class Sharing(Tabular):
 
     @property
     def clock_attained(self) -> bool:
-        """Whether a periodic allocation is known that attains ``cost_periodic``."""
+        """Whether a periodic allocation is known that costs exactly ``cost_periodic``."""
         return self.cost_periodic_attained <= self.cost_periodic + SAME * abs(self.cost_periodic)
 
     def table_rows(self) -> Sequence[Share]:
-        """Return the results of the loops, for each problem."""
+        """Return the rows of the table, one for the loops of each problem."""
         return self.shares
 
     def row_fields(self) -> tuple[Field[Share], ...]:
-        """Return cost and rate of the loops of a problem."""
+        """Return the columns of the table: cost and send rate of the loops of each problem."""
         per = "sends per check"
         return (
             Field("name", column="name", say=""),
@@ -251,32 +276,68 @@ class Sharing(Tabular):
             Field("cost", json=Estimate.document, column="cost", say=f"cost per {self.unit}"),
             Field("cost_all_time", column="cost_every_sample", say="every sample", text="{:.6g}"),
             Field("rate", json=Estimate.document, column="rate", say=per),
-            Field("rate_periodic", column="rate_periodic", say=f"{_label(self)}: {per}", text="{:.4g}"),
+            Field("rate_periodic", column="rate_periodic", say="sends, best periodic", text="{:.4g}"),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn channel`` prints."""
-        return f"{pairs_text(self.lines())}\n{self.table()}"
+    def table_texts(self) -> Sequence[str]:
+        """Return a table of the total costs, and a table of the costs and rates of each problem's loops."""
+        return (table_text(["", f"sum of costs per {self.unit}", "extra cost"], _costs(self), 1), self.table())
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of the cost of the loops, the lower bound, the best periodic allocation, and every sample."""
-        lines = {
-            "every sample": Estimate(self.cost_all_time, 0.0, "exact"),
-            self.scheduler: self.cost,
-            ("best periodic allocation" if self.clock_attained else "bound on periodic allocations"): (
-                Estimate(self.cost_periodic, 0.0, "exact" if self.clock_attained else "bound")
-            ),
-        }
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the total cost next to its bounds, and the send rate of the loops of each problem.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure: two, one above the other.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+        """
+        return draw([self._costs(), self._rates()], ax, figsize, style)
+
+    def _costs(self) -> Panel:
+        """Return the panel of the sum of the costs, and of the bounds and allocations to compare it with."""
+        found: list[tuple[str, float, float, Thing | int]] = [
+            ("this scheduler", self.cost.value, self.cost.standard_error, "policy"),
+            *((name, cost, 0.0, "periodic control") for name, cost in _periodic(self).items()),
+            ("every sample", self.cost_all_time, 0.0, "every sample"),
+        ]
         if self.lower_bound is not None:
-            lines["lower bound"] = Estimate(self.lower_bound.cost, 0.0, "bound")
-        bars = Series(
-            [estimate.value for estimate in lines.values()],
-            list(range(len(lines))),
-            style="bars",
-            error=[estimate.standard_error for estimate in lines.values()],
+            found.append(("no scheduler below", self.lower_bound.cost, 0.0, BOUND))
+        rows = [row for row in found if isfinite(row[1])][::-1]  # the first is the uppermost
+        base, values = self.cost_all_time, [value for _, value, _, _ in rows]
+        above = Above.of(base, [self.cost.value], values) if base > 0 else None
+        more = {name: extra for name, _, extra in _costs(self)}
+        title = f"{self.loops} loops, scheduler {self.scheduler}, at most {self.capacity} sends per step"
+        return Panel(
+            [
+                Series([value], [float(row)], "", "bars", [error], thing)
+                for row, (_, value, error, thing) in enumerate(rows)
+            ],
+            f"sum of costs per {self.unit}"
+            if above is None
+            else f"sum of costs above every sample, {base:.4g} per {self.unit}",
+            title=title,
+            names=[name for name, _, _, _ in rows],
+            notes=[f"{value:.5g}  {more.get(name, '')}".rstrip() for name, value, _, _ in rows],
+            xabove=above,
+            levels=[Level(base, axis="x")],
         )
-        title = f"{self.loops} loops, at most {self.capacity} sends per step"
-        return draw([Panel([bars], f"sum of the costs per {self.unit}", title=title, names=list(lines))], ax, figsize)
+
+    def _rates(self) -> Panel:
+        """Return the panel of the rates of a loop of each problem, with those of periodic control."""
+        rows = self.shares[::-1]
+        places = [float(row) for row in range(len(rows))]
+        rates, errors = [one.rate.value for one in rows], [one.rate.standard_error for one in rows]
+        clocks = [one.rate_periodic for one in rows]
+        return Panel(
+            [
+                Series(rates, places, "this scheduler", "bars", errors, "policy"),
+                Series(clocks, places, next(iter(_periodic(self))), "points", thing="periodic control"),
+            ],
+            "sends per check of one loop",
+            names=[f"{one.copies} × {one.name}" for one in rows],
+            notes=[f"{rate:.3g}" for rate in rates],
+            xlim=(0.0, None),
+        )
 
 
 def share_channel(
@@ -287,13 +348,13 @@ def share_channel(
     scheduler: SchedulerName = "price",
     seed: int = 0,
     standard_error: float | None = None,
-    ticks: int | None = None,
+    steps: int | None = None,
     confidence: float = LEVEL,
     executor: Executor | None = None,
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Sharing:
-    """Simulate loops that share one channel with a limited number of sends per step.
+    """Simulate loops that share one channel on which only a limited number of packets is sent per step.
 
     Every loop has its problem's certainty-equivalent controller with an actuator that predicts. So its cost is J_i =
     J_all,i + E[(1−σ)e'Γe] with the error e that a send resets. Only the scheduler decides which loops send. The
@@ -316,7 +377,7 @@ def share_channel(
         scheduler: rule that decides which loops send.
         seed: seed of the random draws; the result depends on nothing else.
         standard_error: absolute standard error of the sum of the costs; default: 1e-3 of this sum.
-        ticks: number of steps to measure on each channel, instead of a standard error.
+        steps: number of steps to measure on each channel, instead of a standard error.
         confidence: confidence of the lower bound, if a part of it is sampled; 0 for no lower bound.
         executor: executor that processes the kinds of loops in parallel, like the cells of ``sweep``; the result does
             not depend on it. Default: one after the other in this process.
@@ -336,7 +397,7 @@ def share_channel(
 
     Example:
         >>> import taciturn
-        >>> found = share_channel({"a": taciturn.load("wiener-double-integrator")}, copies=20, capacity=4, ticks=2000)
+        >>> found = share_channel({"a": taciturn.load("wiener-double-integrator")}, copies=20, capacity=4, steps=2000)
         >>> assert found.lower_bound is not None
         >>> found.lower_bound.cost < found.cost.value < found.cost_periodic
         True
@@ -350,10 +411,10 @@ def share_channel(
             raise ProblemError(
                 f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
             )
-        if standard_error is not None and ticks is not None:
-            raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
+        if standard_error is not None and steps is not None:
+            raise ProblemError(f"standard_error and steps={steps} are both given; expected one of them")
         standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
-        ticks = None if ticks is None else count("ticks", ticks, SHORTEST_STRETCH)
+        steps = None if steps is None else count("steps", steps, SHORTEST_STRETCH)
         seed = count("seed", seed, 0)
         if executor is not None:
             instance("executor", executor, Executor)
@@ -361,7 +422,7 @@ def share_channel(
         game = Game(kinds, capacity, seed, confidence, executor, in_notebook(progress) or idle)
         plan, bound = plays(game), game.bound
         prepared = time.perf_counter() - began
-        measured = measure(game, plan, standard_error, ticks)
+        measured = measure(game, plan, standard_error, steps)
         shares: list[Share] = []
         for place, (kind, rate) in enumerate(zip(kinds, game.clocked.rates.tolist(), strict=True)):
             cost = mean(measured.costs[:, place]).scaled(1 / kind.count, kind.cost_all_time)

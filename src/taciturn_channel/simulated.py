@@ -1,4 +1,4 @@
-"""Simulation of many loops on a shared channel, where an access rule selects the loops that send at each step.
+"""Simulation of many loops on a shared channel, in which an access rule decides at each step which loops send.
 
 Each loop has the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe, by completion of squares
 (``Group``). It requests a send if its urgency is above 0. One class for each access rule decides which loops send:
@@ -32,14 +32,14 @@ COLLISION = 1 / (np.e - 2)  # mean number of additional packets in a collision
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Grant(Displayed):
-    """Result of an access rule in one step: which loops sent, and how many packets were on the channel."""
+    """The decision of an access rule in one step: which loops send successfully, and how many packets were sent."""
 
     sent: Bits  # whether each loop sent successfully, (channels, loops)
     busy: Array  # number of packets on the channel, including collisions, (channels,)
 
 
 class Access(Protocol):
-    """An access rule of a shared channel; because it can have internal state, use one object for each simulation."""
+    """Access rule of a shared channel; it may have an internal state, so each simulation needs its own object."""
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
         """Return which loops send."""
@@ -47,20 +47,20 @@ class Access(Protocol):
 
 
 class MostUrgent:
-    """Access rule in which the loops with the highest urgency use all slots, even if they do not request a send."""
+    """Access rule that lets the loops with the highest urgency send, even if they request no send."""
 
     def __init__(self, capacity: int) -> None:
         """Store the capacity."""
         self.capacity = capacity
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Grant the slots of this step to the loops with the highest urgency."""
+        """Let the loops with the highest urgency send in the slots of this step."""
         sent = _lowest(-urgency, self.capacity)
         return Grant(sent, sent.sum(axis=1).astype(np.float64))
 
 
 class RoundRobin:
-    """Access rule in which the loops take turns to send in a fixed order."""
+    """Access rule that lets the loops send in turn, in a fixed order."""
 
     def __init__(self, capacity: int, loops: int) -> None:
         """Start with the first loop."""
@@ -68,14 +68,14 @@ class RoundRobin:
         self.turns = np.arange(loops, dtype=np.float64)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Grant the slots of this step to the next loops in the fixed order."""
+        """Let the next loops in the fixed order send in the slots of this step."""
         sent = _lowest(self.turns[None, at], self.capacity)
         self.turns[at[sent[0]]] += self.loops
         return _alike(sent, len(urgency))
 
 
 class TimeDivision:
-    """Access rule in which every loop sends periodically at its own rate.
+    """Access rule that lets every loop send periodically, at a send rate of its own.
 
     If too many sends are due, loops whose next send is earlier have priority.
     """
@@ -88,7 +88,7 @@ class TimeDivision:
         self.due = phases * np.where(rates > 0, self.interval, 0.0) + np.where(rates > 0, 0.0, np.inf)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Grant the slots of this step to the loops whose periodic sends are due."""
+        """Let the loops whose periodic sends are due send in the slots of this step."""
         due = self.due[at]
         ready = np.flatnonzero(due <= tick)
         if len(ready) > self.capacity:
@@ -101,7 +101,7 @@ class TimeDivision:
 
 
 class RandomAccess:
-    """Access rule in which loops with an urgency above 0 send in random slots; packets in the same slot collide.
+    """Access rule in which each loop with positive urgency picks a random slot; packets in the same slot collide.
 
     All loops observe which slots were empty, used or collided. They use it to estimate the backlog n of a channel, and
     send with the probability min(1, slots/n) (pseudo-Bayesian control of slotted ALOHA).
@@ -112,7 +112,7 @@ class RandomAccess:
         self.slots, self.draws, self.backlog = slots, np.random.default_rng(seed), np.zeros(1)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Draw a random slot for each sending loop, and return the loops whose packets do not collide."""
+        """Assign a random slot to each loop that tries to send; loops whose packets do not collide have sent."""
         channels = len(urgency)
         backlog = np.broadcast_to(self.backlog, channels)
         tries = (urgency > 0) & (
@@ -150,7 +150,7 @@ KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "gra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(Displayed):
-    """A group of identical loops with the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe."""
+    """Identical loops with error e⁺ = F e + w; a send resets the error to 0, and a check without a send costs e'Γe."""
 
     F: Array  # error dynamics, (n, n)
     noise: Array  # covariance of w ~ N(0, ·), (n, n)
@@ -162,7 +162,7 @@ class Group(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stretch(Displayed):
-    """Mean cost, sends and collisions over a number of simulated steps, for each of several independent channels."""
+    """Mean cost, sends and collisions during some simulated steps, for each of several independent channels."""
 
     cost: Array  # cost per step, summed over the loops of each group, (channels, groups)
     sends: Array  # sends per step of each group, (channels, groups)
@@ -171,7 +171,7 @@ class Stretch(Displayed):
 
 
 class SharedChannel:
-    """Step-by-step simulation of loops that share channels."""
+    """Simulation of loops that share a channel, step by step, for several independent channels in parallel."""
 
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
         """Start with errors of 0."""
@@ -187,12 +187,12 @@ class SharedChannel:
                 first += loops
         self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
-    def run(self, ticks: int) -> Stretch:
-        """Continue the simulation for a number of steps that is a multiple of every group's check interval."""
+    def run(self, steps: int) -> Stretch:
+        """Continue the simulation for a number of steps, which must be a multiple of every group's check interval."""
         channels = self._channels
         busy, waiting = np.zeros(channels), np.zeros(channels)
         active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
-        for tick in range(self._tick, self._tick + ticks):
+        for tick in range(self._tick, self._tick + steps):
             key = tuple(tick % cohort.every == cohort.phase for cohort in self.cohorts)
             if key not in active:
                 looking = [cohort for cohort, looks in zip(self.cohorts, key, strict=True) if looks]
@@ -208,13 +208,13 @@ class SharedChannel:
             end = 0
             for cohort in cohorts:
                 cohort.look(grant.sent[:, end : (end := end + len(cohort.places))])
-        self._tick += ticks
+        self._tick += steps
         cost, sends = np.zeros((channels, len(self._groups))), np.zeros((channels, len(self._groups)))
         for cohort in self.cohorts:
             for group, added, sent in cohort.take():
-                cost[:, group] += added / ticks
-                sends[:, group] += sent / ticks
-        return Stretch(cost, sends, busy / ticks, waiting / ticks)
+                cost[:, group] += added / steps
+                sends[:, group] += sent / steps
+        return Stretch(cost, sends, busy / steps, waiting / steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ class _Turn:
 
 
 class Cohort:
-    """Loops of several groups that check their errors at the same steps and are simulated together.
+    """Loops of several groups that check their errors at the same steps; one program simulates all of them.
 
     Paths are ordered by loop, then by channel.
     """
@@ -245,13 +245,13 @@ class Cohort:
         self.urgency = np.full((channels, len(self.places)), -1.0)
 
     def look(self, sent: Bits) -> None:
-        """Advance the errors of these loops to their next check, after the sends of the loops in the mask ``sent``."""
+        """Simulate these loops until their next check; the mask ``sent`` marks loops that send at the present check."""
         self._sent += sent
         told = sent.T.astype(np.float64).reshape(1, -1)
         self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
 
     def take(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield each group of these loops with its cost and sends since the last call, (channels,) each."""
+        """Yield each group of loops with its cost and its sends since the last call, each of shape (channels,)."""
         added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
         end = 0
         for turn in self._turns:
@@ -261,9 +261,9 @@ class Cohort:
 
 
 def contend(group: Group) -> Program:
-    """Return the program of one check of a loop on a shared channel, with the access rule's decision as an input.
+    """Return the program of one check of a loop, with the decision of the channel's access rule as an input.
 
-    It sums the cost and outputs the urgency.
+    The program sums up the cost and outputs the urgency.
     """
     tick = _look(group)
     told = tick.builder.emit("greater", tick.builder.input(GRANTED), tick.builder.constant(0.0))
@@ -272,7 +272,7 @@ def contend(group: Group) -> Program:
 
 
 def send_freely(group: Group) -> Program:
-    """Return the program of one check of a loop on its own channel; it sums the cost and the sends."""
+    """Return the program of one check of a loop that never waits for the channel; it sums up the cost and the sends."""
     tick = _look(group)
     wants = tick.builder.emit("greater", tick.form(group.urgency), tick.builder.constant(0.0))
     excess = _decide(tick, group, wants)
@@ -280,9 +280,9 @@ def send_freely(group: Group) -> Program:
 
 
 def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
-    """Return simulated sends and cost per check of loops that share no channel.
+    """Simulate loops that each have a channel of their own, and return the sends and the cost per check.
 
-    An equally long burn-in is dropped.
+    An initial phase of the same length is discarded.
     """
     program = send_freely(group)
     run, states = prepare(program), start_loops(program, group.count, seed)
@@ -306,7 +306,7 @@ def _decide(tick: TimeStep, group: Group, sends: int) -> int:
 
 
 def start_loops(program: Program, paths: int, seed: int, first: int = 0) -> Array:
-    """Return the initial program states of simulated loops with errors of 0, (states, paths)."""
+    """Return the initial states of a simulation in which all errors are 0, shape (states, paths)."""
     drawn = seed_generators(seed, paths, first)
     starts = [state.start for state in program.states]
     rows = [drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts]

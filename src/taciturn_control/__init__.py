@@ -1,1 +1,1 @@
-"""Conversion to and from systems of python-control: ``systems`` has ``taciturn.to_control`` and ``from_control``."""
+"""Conversion to systems of python-control and back, by ``taciturn.to_control`` and ``taciturn.from_control``."""

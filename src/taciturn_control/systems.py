@@ -1,4 +1,4 @@
-"""Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
+"""Convert plants, policies and loops to systems of python-control, and such systems to plants.
 
 No other module imports python-control, an optional dependency. A linear plant becomes a ``StateSpace``. A policy or a
 loop becomes a ``NonlinearIOSystem`` whose state holds the memories of its program and the number of the step, and whose
@@ -86,8 +86,8 @@ def to_control(
     instance("thing", thing, Plant, ContinuousPlant, Policy, Loop)
     if network is not None and not isinstance(thing, Policy):
         raise ProblemError(
-            f"network is given for a {type(thing).__name__}; expected network for a Policy only: "
-            "pass the network of a loop to `close`"
+            f"network is given for a {type(thing).__name__}; expected this argument only for a Policy: pass the "
+            "network of a loop to `close`"
         )
     if isinstance(thing, Plant | ContinuousPlant):
         _CONVERTED.check(thing)

@@ -1,4 +1,4 @@
-"""Mean interval between sends and mean cost per second, by simulation of the cycles between sends.
+"""Estimate the mean interval between sends and the mean cost per second by simulating many such intervals.
 
 The mean cost per second is E[∫_0^θ e'Se ds]/E[θ] for intervals θ between sends. When enough cycles are counted, every
 path is run until its current cycle has ended. The number of counted cycles is then a stopping time. By Wald's identity,
@@ -59,7 +59,7 @@ PERIOD_TOLERANCE = 1 + 1e-12  # tolerance for limits that are a whole number of 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledProcess(Displayed):
-    """An error that obeys e⁺ = F e + w from one periodic check to the next, with its cost per period.
+    """Error e⁺ = F e + w from one periodic check of the trigger to the next, with its cost per period.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -77,9 +77,9 @@ class SampledProcess(Displayed):
 
 
 def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Program:
-    """Return the program that simulates an error over one period, including the trigger check at its end.
+    """Return the program that simulates an error over one period and checks the trigger at the end of the period.
 
-    Its sums and outputs are those of ``cycle_program``.
+    The sums and outputs of the program are those of ``cycle_program``.
     """
     n = len(process.F)
     tick = TimeStep(Builder(), {}, {}, ())
@@ -142,7 +142,7 @@ ErrorProcess: TypeAlias = JumpProcess | SampledProcess
 
 @dataclass(frozen=True, repr=False)
 class CycleEstimate(Displayed):
-    """Estimates of mean interval and cost per second from many simulated cycles between sends.
+    """Estimated mean interval between sends and estimated cost per second, from many simulated intervals.
 
     Args:
         interval: mean seconds between sends, E[θ].
@@ -162,7 +162,7 @@ class CycleEstimate(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Displayed):
-    """Durations and costs of simulated cycles between sends, from the first cycles of each path."""
+    """Durations and costs of simulated intervals between sends; every simulated path contributes equally many."""
 
     durations: Array  # θ, (cycles,)
     costs: Array  # ∫_0^θ e'Se ds, (cycles,)
@@ -179,7 +179,7 @@ def estimate_cycles(
     threads: int | None = None,
     alive: Callable[[], None] | None = None,
 ) -> CycleEstimate:
-    """Estimate, by simulation, the mean interval between sends and the cost per second of an error with a trigger.
+    """Simulate an error with a trigger, and estimate the mean interval between sends and the cost per second.
 
     Args:
         process: the error.
@@ -231,7 +231,7 @@ def sweep_thresholds(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> tuple[CycleEstimate, ...]:
-    """Estimate the mean interval M(c) = E[θ] between sends of the integral trigger for many thresholds c.
+    """Estimate the integral trigger's mean interval M(c) = E[θ] between sends for many thresholds c.
 
     The jumps and their times are the same for every c.
 
@@ -269,7 +269,7 @@ def sample_cycles(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> Sample:
-    """Simulate cycles between sends and return their durations and costs, for quantiles and histograms."""
+    """Simulate intervals between sends, and return the duration and the cost of each, for quantiles and histograms."""
     count("seed", seed, 0)
     paths = min(count("paths", paths), count("cycles", cycles))
     each = -(-cycles // paths)
@@ -305,7 +305,7 @@ class _Counting:
         self.paths, self.ticks = paths, 0
 
     def advance(self, ticks: int) -> None:
-        """Simulate further steps on every path; the number is limited, so that results are evaluated regularly."""
+        """Simulate ``ticks`` further steps on every path; if there are many paths, simulate fewer steps."""
         ticks = max(1, min(ticks, CHUNK // self.paths))
         result = self.run(self.states, ticks, self.threads)
         self.states = result.states
@@ -314,14 +314,14 @@ class _Counting:
         self.ticks += ticks
 
     def until_counted(self, cycles: int) -> int:
-        """Return approximately how many further steps are needed until this many cycles are counted."""
+        """Predict how many further steps must be simulated until ``cycles`` intervals between sends are counted."""
         counted = float(self.sums[CYCLES].sum())
         if counted >= cycles:
             return 0
         return self._more(cycles / counted if counted else 2.0)
 
     def until_precise(self, wanted: float) -> int:
-        """Return approximately how many further steps are needed for a standard error of the mean interval."""
+        """Predict how many further steps must be simulated until the mean interval has the wanted standard error."""
         if self.sums[CYCLES].min() < CYCLES_PER_PATH:  # the standard error of fewer cycles is unreliable
             return self._more(2.0)
         error = _ratio(self.sums[DURATION], self.sums[CYCLES]).standard_error
@@ -332,13 +332,13 @@ class _Counting:
             raise _endless(self.ticks)
         if self.ticks * self.paths > BUDGET:
             raise ProblemError(
-                f"{BUDGET} attempts completed only {self.sums[CYCLES].sum():.0f} cycles; expected fewer cycles, or a "
-                "larger standard error"
+                f"{BUDGET} simulated attempts completed only {self.sums[CYCLES].sum():.0f} cycles; expected a request "
+                "for fewer cycles, or a larger standard error"
             )
         return max(FIRST_TICKS, int(self.ticks * min(factor - 1, 100.0) * 1.02) + 1)
 
     def close(self) -> CycleEstimate:
-        """Simulate every path to the end of its current cycle, and return the estimates."""
+        """Simulate every path until its next send, and return the estimates from all intervals between sends."""
         opened, closing = [[s.name for s in self.program.states].index(name) for name in (OPEN, CLOSING)]
         self.states[closing] = 1.0
         last = self.ticks + ENDLESS
@@ -348,8 +348,8 @@ class _Counting:
             self.advance(FIRST_TICKS)
         if not all(np.isfinite(total).all() for total in self.sums.values()):
             raise UnstableError(
-                "the error grows without bound within a cycle; expected a trigger that weighs every growing direction "
-                "of the error"
+                "the error grows without bound within a cycle; expected a trigger that gives weight to every growing "
+                "direction of the error"
             )
         return CycleEstimate(
             _ratio(self.sums[DURATION], self.sums[CYCLES]),

@@ -1,4 +1,4 @@
-"""Simulation of an error with Poisson jumps from one send to the next, with exact event times.
+"""Simulation of an error with Poisson jumps, from one send to the next, with exact times of jumps and sends.
 
 Between jumps ė = A e, so that the trigger function is a power series of time, which ends if A is nilpotent. On a short
 piece of time it is a polynomial, to rounding (``TaylorMotion``). In the Bernstein basis, Σ m_k x^k = Σ b_j B_j(x) for
@@ -46,7 +46,7 @@ _ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
 class TaylorMotion:
-    """Prediction of an error ė = A e over short pieces of time, by a Taylor series that is exact if A is nilpotent."""
+    """Prediction of an error with ė = A e over short times by a Taylor series, which is exact if A is nilpotent."""
 
     def __init__(self, A: Array, wait: float, most: float) -> None:
         """Choose the longest piece and the orders of the series."""
@@ -62,7 +62,7 @@ class TaylorMotion:
         self.order, self.form_order = _order(norm * self.longest), _order(2 * norm * self.longest)
 
     def forms(self, S: Array) -> list[Array]:
-        """Return the matrices T_k with e(s)'Se(s) = Σ_k s^k e'T_k e, where e(s) is the error s seconds after e."""
+        """Return matrices T_k with e(s)'Se(s) = Σ_k s^k e'T_k e, where e(s) is the error s seconds after e."""
         found = [S]
         for k in range(self.form_order):
             found.append(symmetrised(self.A.T @ found[-1] + found[-1] @ self.A) / (k + 1))
@@ -71,7 +71,7 @@ class TaylorMotion:
         return found
 
     def form(self, b: Builder, S: Array, e: Sequence[int], length: int) -> list[int | None]:
-        """Return the coefficients of the polynomial e(x·length)'Se(x·length) in the fraction x of a piece of time."""
+        """Return the coefficients of the cost rate e'Se as a polynomial in the fraction x of a time interval."""
         values = [b.quadratic([[float(c) for c in row] for row in T], e) for T in self.forms(S)]
         result, power = values[:1], length
         for value in values[1:]:
@@ -80,7 +80,7 @@ class TaylorMotion:
         return result
 
     def advance(self, b: Builder, e: Sequence[int], time: int) -> list[int]:
-        """Return the error after a time t, by Horner's rule e + t/1 A(e + t/2 A(e + …)) for its Taylor series."""
+        """Return the error after a time t, by Horner's rule for its Taylor series: e + t/1 A(e + t/2 A(e + …))."""
         moved = list(e)
         for k in range(self.order, 0, -1):
             steps = [b.combine([float(a) / k for a in row], moved) for row in self.A]
@@ -92,7 +92,7 @@ class TaylorMotion:
 
 
 def integrate_polynomial(b: Builder, form: Monomials, length: int) -> list[int | None]:
-    """Return the coefficients of the integral of a polynomial from 0 to x, times the length of the piece of time."""
+    """Integrate a polynomial in the fraction x of a time interval from 0 to x, in seconds."""
     result: list[int | None] = [None]
     for k, value in enumerate(form):
         result.append(None if value is None else b.emit("mul", b.scale(1 / (k + 1), value), length))
@@ -100,12 +100,12 @@ def integrate_polynomial(b: Builder, form: Monomials, length: int) -> list[int |
 
 
 def evaluate_polynomial(b: Builder, monomials: Monomials, x: int) -> int:
-    """Return the value at x of a polynomial that is given by its coefficients."""
+    """Evaluate a polynomial, given by its coefficients, at x."""
     return _horner(b, monomials, x)[0]
 
 
 def bernstein(b: Builder, monomials: Monomials) -> list[int]:
-    """Return the Bernstein coefficients b_j = Σ_{k≤j} C(j,k)/C(N,k) m_k of a polynomial Σ m_k x^k on [0, 1]."""
+    """Convert a polynomial Σ m_k x^k on [0, 1] to its Bernstein coefficients b_j = Σ_{k≤j} C(j,k)/C(N,k) m_k."""
     N = len(monomials) - 1
     there = [(k, m) for k, m in enumerate(monomials) if m is not None]
     rows: list[int] = []
@@ -116,9 +116,7 @@ def bernstein(b: Builder, monomials: Monomials) -> list[int]:
 
 
 def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: int) -> tuple[int, int, int, int]:
-    """Find the only root in [0, 1] of a polynomial that changes from negative to positive, by bracketed Newton
-    steps.
-    """
+    """Find the only root in [0, 1] of a polynomial that rises from negative to positive, by bracketed Newton steps."""
     zero, one = b.constant(0.0), b.constant(1.0)
     low, high = zero, one
     # start where the straight line from the first to the last value is 0
@@ -181,7 +179,7 @@ LONGEST_WAIT = 64.0  # bound on a drawn time between jumps, in mean times: a uni
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JumpProcess(Displayed):
-    """An error that obeys ė = A e between Poisson jumps, costs e'Se per second, and is reset to 0 by a send.
+    """Error with ė = A e between Poisson jumps; it costs e'Se per second, and a send resets it to 0.
 
     Args:
         A: dynamics per second, (n, n).
@@ -265,14 +263,14 @@ CycleTrigger = IntegralTrigger | LevelTrigger
 
 
 def cycle_program(process: JumpProcess, trigger: CycleTrigger) -> Program:
-    """Return the program that advances an error over one short piece of time, or to its next send."""
+    """Return the program that simulates an error over a short time interval, or to its next send if that is earlier."""
     if isinstance(trigger, LevelTrigger):
         array("Psi", trigger.Psi, process.A.shape, "(states, states)")
     return _Attempt(process, trigger).program()
 
 
 def start_cycles(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
-    """Return the initial program states of simulated paths, just after a send.
+    """Return the initial states of simulated paths that each start immediately after a send.
 
     For a given seed, path i does not depend on the number of paths.
     """
@@ -287,7 +285,7 @@ def start_cycles(process: JumpProcess, program: Program, paths: int, seed: int) 
 
 
 def filled_states(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
-    """Return the initial states of a program, (states, paths): given values by name, and 0 for all other states."""
+    """Return the initial states of a program, shape (states, paths): given values by name, and 0 for the others."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:
@@ -298,7 +296,7 @@ def filled_states(program: Program, paths: int, values: Mapping[str, Array]) -> 
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
 ) -> tuple[int, dict[Name, int], dict[Name, int]]:
-    """Return the operations at the end of a cycle: whether later cycles count, the sums, and the outputs."""
+    """Build the operations at a send: the sums over intervals, the outputs, and whether the next interval counts."""
     zero, half = b.constant(0.0), b.constant(0.5)
     last = b.emit("and", ended, b.emit("greater", closing, half))
     counted = b.emit("and", ended, b.emit("greater", opened, half))
@@ -492,7 +490,7 @@ class _Attempt:
 
 
 def check(process: object, trigger: object) -> None:
-    """Raise an error if ``process`` is not a jump process, or ``trigger`` is not a trigger."""
+    """Raise an error if ``process`` is not a jump process or ``trigger`` is not a trigger."""
     instance("process", process, JumpProcess)
     if not isinstance(trigger, IntegralTrigger | LevelTrigger):
         raise ProblemError(f"trigger is a {type(trigger).__name__}; expected an IntegralTrigger or a LevelTrigger")

@@ -1,4 +1,4 @@
-"""Consistent dynamic trigger: the sensor sends when the prediction cost since the last send reaches a limit."""
+"""The policy kind ``integral``: the sensor sends when the prediction cost since the last send reaches a limit."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def integral(
     h_max: float = np.inf,
     period: float | None = None,
 ) -> Policy | EventPolicy:
-    """Design the policy that sends when the integrated cost of the prediction error reaches an allowed value.
+    """Design the policy that sends when the integrated cost of the prediction error reaches a limit.
 
     Sensor and actuator run dx̂/dt = (A + BL)x̂, and a send sets x̂ to x. With e = x − x̂, the state is sent β seconds
     after the last send, at the first time in (h_min, h_max] at which
@@ -142,8 +142,8 @@ def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     if price.growth(1.0) <= 0:
         raise ProblemError(
-            "the noise causes no error with a cost, so nothing would ever be sent; "
-            "expected noise on states that L'RL weighs, directly or through the dynamics"
+            "the noise causes no error with a cost, so the policy would never send; expected noise on states to "
+            "which L'RL gives weight, directly or through the dynamics"
         )
     return price
 
@@ -156,7 +156,7 @@ def _largest_slope(price: PredictionCost, trigger: IntegralTrigger) -> float:
 
 
 def sampled_error(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
-    """Return the process of the prediction error from one check to the next."""
+    """Return the model of the prediction error from one periodic check of the trigger to the next."""
     noise = price.spread(period) if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return SampledProcess(price.flow(period), noise, price.weight(period), period * price.growth(period), period)
 
@@ -198,8 +198,8 @@ def _looking(
     places = _places(trigger, period)
     if places > MOST_PLACES:
         raise ProblemError(
-            f"h_min, h_max or the saturation is {places} periods of {period:g} s; expected at most {MOST_PLACES}: use "
-            "a smaller or an infinite limit, or a longer period"
+            f"h_min, h_max or the saturation is {places} periods of {period:g} s; expected at most {MOST_PLACES} "
+            "periods: use a smaller or an infinite limit, or a longer period"
         )
     prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
@@ -261,7 +261,7 @@ class _Search:
     period: float | None  # seconds between checks, if given by the user
 
     def given(self, alpha: float) -> Estimate:
-        """Return a given α after a check that it is consistent with the mean interval L(α) that results."""
+        """Return the given α; raise an error if it exceeds the resulting mean interval between sends L(α)."""
         interval = self.after(alpha, CYCLES).interval
         if alpha > interval.value + SURE * interval.standard_error:
             raise ProblemError(
@@ -278,7 +278,7 @@ class _Search:
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return the largest fixed point α* = L(α*) of the mean interval L(α), by simulation."""
+        """Find the largest α with α = L(α) by simulation; L(α) is the mean interval between sends for a given α."""
         if self.slope > self.largest * (1 + PRINTED):
             raise ProblemError(
                 f"slope is {self.slope:g}, but the threshold f is below the cost of periodic control only up to a "
@@ -335,7 +335,7 @@ class _Search:
         return 1 / self.process.jumps.rate if isinstance(self.process, JumpProcess) else 4 * self.process.period
 
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
-        """Return estimates of mean interval and cost from simulated intervals with the given α."""
+        """Estimate, by simulation, the mean interval between sends and the cost for a given α."""
         return estimate_cycles(self.process, replace(self.trigger, c=alpha * self.slope), cycles=cycles)
 
 

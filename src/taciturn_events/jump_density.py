@@ -1,4 +1,4 @@
-"""Probability density of the summed jumps in one period, for a two-dimensional error and normally distributed jumps."""
+"""Probability density of the sum of normally distributed jumps in one period, for a prediction error in the plane."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESOLVED = 1e-6  # largest characteristic function at the highest frequency, rel
 
 @dataclass(frozen=True, repr=False)
 class Fineness(Displayed):
-    """Numbers of nodes in the tables that represent the probability density of an error increment."""
+    """Numbers of quadrature nodes for the table of an error increment's probability density."""
 
     angles: int  # nodes of a table in the angle
     radii: int  # nodes in the radius of each of the two tables per angle
@@ -33,7 +33,7 @@ class Fineness(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompoundPoissonNoise(Displayed):
-    """Noise in a two-dimensional error between two checks: normally distributed jumps at Poisson times."""
+    """Noise in a two-dimensional error between two checks: a sum of normally distributed jumps at Poisson times."""
 
     A: Array  # (2, 2) dynamics per second
     G: Array  # a jump is Gξ with standard normal ξ, (2, 1) or (2, 2)
@@ -46,11 +46,11 @@ class CompoundPoissonNoise(Displayed):
         return exp(-self.rate * self.period)
 
     def moved(self, left: Array) -> Array:
-        """Return e^{As}G, which maps a jump to its effect on the error s seconds later."""
+        """Return the matrix e^{As}G, which maps a jump to the error that it causes s seconds later."""
         return plane_flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:
-        """Return the covariance of the error increment due to the jumps of one period, (2, 2)."""
+        """Return the covariance of the error increment due to the jumps of one period, shape (2, 2)."""
         left, weights = legendre_nodes(times, 0.0, self.period)
         moved = self.moved(left)
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
@@ -68,7 +68,7 @@ def _composite(count: int, edges: Array) -> tuple[Array, Array]:
 
 
 def plane_flow(A: Array, times: Array) -> Array:
-    """Return the matrix exponential e^{At} of a (2, 2) matrix A at many times t, in closed form, (…, 2, 2)."""
+    """Return the matrix exponentials e^{At} of a 2×2 matrix A for many times t in closed form, shape (…, 2, 2)."""
     # A = mean·I + rest, and rest² = −det(rest)·I (Cayley–Hamilton): the series of e^{rest·t} is a cosh and a sinh
     mean = float(np.trace(A)) / 2
     rest = A - mean * np.eye(2)
@@ -82,14 +82,14 @@ def plane_flow(A: Array, times: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Return the signed area of the parallelogram that two vectors span."""
+    """Return the signed area of the parallelogram that is spanned by two vectors."""
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
 def eased(share: Array) -> Array:
-    """Return 3x² − 2x³ for quadrature nodes x on [0, 1], which moves the nodes towards both ends of the interval.
+    """Map quadrature nodes x in [0, 1] to 3x² − 2x³, which moves them closer to the ends of the interval.
 
-    Integrands have square roots and logarithms there.
+    At both ends, the integrands have square roots and logarithms.
     """
     return share * share * (3 - 2 * share)
 
@@ -114,7 +114,7 @@ def _coefficients(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rays(Displayed):
-    """Probability density p of a two-dimensional error increment, as a function of the distance ρ from 0 along rays.
+    """Probability density p of a two-dimensional error increment along rays from the origin, for each radius ρ.
 
     The probability of an area element is ρ p(ρ) dρ dθ.
     """
@@ -128,7 +128,7 @@ class Rays(Displayed):
         return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
 
     def density(self, root: Array, radius: Array, outer: int) -> Array:
-        """Return the density p times the radius ρ at given radii along each ray, (rays, nodes).
+        """Return the density times the radius, ρ·p(ρ), for the given radii on each ray, shape (rays, nodes).
 
         The radii are given as √(ρ/reach) and as ρ.
 
@@ -144,7 +144,7 @@ class Rays(Displayed):
 
 
 class Density:
-    """Probability density of the two-dimensional error increment over one period with at least one jump.
+    """Probability density of the increment of a two-dimensional error over one period with at least one jump.
 
     A single jump of rank one has a density only in the cone that its direction sweeps until the check; this part has a
     closed form. The density of two such jumps has a logarithmic singularity and is integrated over both times. The
@@ -170,8 +170,8 @@ class Density:
         angles = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
         if not 1e-6 < abs(angles[-1] - angles[0]) < 0.99 * np.pi:
             raise NoQuadratureError(
-                f"the direction of a jump turns by {abs(angles[-1] - angles[0]):.3g} rad within a period; expected "
-                "more than 0 and less than half a turn (3.14 rad); check more often, or simulate"
+                f"the direction of a jump turns by {abs(angles[-1] - angles[0]):.3g} rad within a period; expected an "
+                "angle above 0 and below 3.14 rad (half a turn); check more often, or simulate"
             )
         return (times, angles) if angles[-1] > angles[0] else (times[::-1], angles[::-1])
 
@@ -273,7 +273,7 @@ class Density:
         return shower.rate**2 * shower.quiet * (decay @ np.concatenate(masses))
 
     def rays(self, angles: Array, sector: int) -> Rays:
-        """Return the density of the increment along rays whose angles lie in one sector of the plane."""
+        """Return the probability density of the error increment along rays whose angles lie in one sector."""
         low, high = self.sectors[sector]
         table = self._tables[sector]
         basis = chebyshev.chebvander(2 * _uneased((angles - low) / (high - low)) - 1, table.shape[1] - 1)
@@ -287,7 +287,7 @@ class Density:
 
 
 def jump_reach(jump: float, mean: float) -> float:
-    """Return a distance from 0 that the sum of the jumps in one period exceeds only with negligible probability."""
+    """Return a radius that the sum of one period's jumps exceeds only with negligible probability."""
     counts = range(1, int(mean + 12 * sqrt(mean) + 30))
     chances = [exp(m * log(mean) - mean - lgamma(m + 1)) for m in counts]
     distance = jump

@@ -1,4 +1,4 @@
-"""Send rate and excess cost of an error with normally distributed jumps at Poisson times, by quadrature.
+"""Compute send rate and extra cost for an error with normally distributed jumps at Poisson times, by quadrature.
 
 The error is checked every τ seconds, and is not sent while it lies in the set E of all e with e'Ψe ≤ δ. With the
 probability q = e^{−λτ}, a period is without a jump, and then e⁺ = F e exactly. So an expectation over later checks is
@@ -55,7 +55,7 @@ STEADY = 1e-12  # relative change of the decay factor per check below which the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sums(Displayed):
-    """Renewal equations of an error with jumps: each row starts at one node, the last row at the error 0."""
+    """Discretised renewal equations of an error with jumps: one row per quadrature node, and a last row for e = 0."""
 
     basis: Array  # values of the basis polynomials at the nodes, (nodes, nodes)
     steps: Array  # for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes)
@@ -87,15 +87,15 @@ class Sums(Displayed):
         return (steps[-1] @ after + sides[-1] + np.array([1.0, 0.0, 0.0])) / (1 - self.quiet)
 
     def cycle(self) -> tuple[float, float]:
-        """Return the mean number of checks between two sends, and the mean cost between two sends."""
+        """Return the mean number of checks between two sends, and the mean cost of such an interval."""
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of checks at which an unsent error is outside the set that the nodes cover."""
+        """Return a bound on the fraction of checks at which an unsent error is outside the quadrature nodes' region."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:
-        """Return the distribution of the number of checks between sends, given the mean of this number."""
+        """Compute the distribution of the number of checks between two sends; ``mean`` is its mean."""
         # past[k]: P(no send at the next k + 1 checks, and a jump in the next period), as coefficients of the basis;
         # origin[k]: the same from the error 0
         inverse = np.linalg.inv(self.basis)
@@ -142,7 +142,7 @@ class PlaneGrid(Displayed):
 
 
 class Plane:
-    """A two-dimensional error with Poisson jumps, scaled so that its increment over one period has unit covariance."""
+    """A two-dimensional error with Poisson jumps, scaled so that its increment per period has unit covariance."""
 
     def __init__(self, shower: CompoundPoissonNoise, F: Array, Psi: Array, Gamma: Array) -> None:
         """Store the coordinates."""
@@ -155,13 +155,13 @@ class Plane:
         self.long, self.short = (float(1 / np.sqrt(max(value, 1e-14 * values[1]))) for value in values)
 
     def density(self, fineness: Fineness) -> Density:
-        """Return the cached probability density of the error increment over a period with at least one jump."""
+        """Return the probability density of the error increment over a period with at least one jump; it is cached."""
         if fineness not in self._densities:
             self._densities[fineness] = Density(self.shower, fineness)
         return self._densities[fineness]
 
     def sums(self, grid: PlaneGrid) -> Sums:
-        """Return the renewal equations of this error on a grid of quadrature nodes."""
+        """Discretise the renewal equations of this error on a grid of quadrature nodes."""
         if grid.along * grid.across > 2 * MOST_PLANE_NODES:
             raise NoQuadratureError(
                 f"between sends, the error spreads over a region that needs {grid.along} × {grid.across} quadrature "
@@ -369,7 +369,7 @@ FADED = 9.0  # frequency times the smallest standard deviation at which the char
 
 @dataclass(frozen=True, repr=False)
 class Line(Displayed):
-    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold."""
+    """A scalar error with Poisson jumps; the sensor sends if the absolute value of the error exceeds a threshold."""
 
     a: float  # dynamics between jumps, ė = a e, per second
     jump: float  # standard deviation of a jump
@@ -380,7 +380,7 @@ class Line(Displayed):
     Gamma: float  # Γ, weight of the cost of an unsent error
 
     def sums(self, fineness: float, checks: int) -> Sums:
-        """Return the renewal equations of this error, discretised on a number of nodes proportional to ``fineness``.
+        """Discretise the renewal equations of this error; the number of nodes is proportional to ``fineness``.
 
         Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
         the scale of all nodes.
@@ -445,7 +445,7 @@ FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200)
 
 
 def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None = None) -> Renewal:
-    """Return the send rate and the excess cost of an error with normally distributed jumps at Poisson times."""
+    """Compute send rate and extra cost of an error with normally distributed jumps at Poisson times."""
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):
@@ -460,13 +460,13 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     A, G, F, Psi, Gamma = _reduced(noise.A, root(noise.jumps.covariance), chain)
     if not Psi.size or not (np.abs(Psi) > 0).any():
         raise NoQuadratureError(
-            "nothing would ever be sent: the jumps reach no direction of the error that Ψ weighs; expected at least "
-            "one such direction; weigh the states that the jumps reach"
+            "the policy would never send: the jumps affect no direction of the error to which Ψ gives weight; "
+            "expected at least one such direction: give weight to the states that the jumps affect"
         )
     if len(A) > 2:
         raise NoQuadratureError(
-            f"the jumps move the error in {len(A)} dimensions that Ψ or Γ weighs, but this quadrature supports at most "
-            "two; simulate instead"
+            f"the jumps affect {len(A)} dimensions of the error to which Ψ or Γ gives weight, but this quadrature "
+            "supports at most two; simulate instead"
         )
     rate, period, told = noise.jumps.rate, noise.period, Stages(progress)
     checks = _followed(rate * period, LONGEST[len(A)])

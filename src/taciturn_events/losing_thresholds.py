@@ -1,4 +1,4 @@
-"""Comparison of thresholds on a weighted error with periodic control at the same rate.
+"""Compare send thresholds on a weighted prediction error with periodic control at the same send rate.
 
 A threshold sends when e'Ψe exceeds the level Y². Its cost can exceed that of periodic control at the same rate, for
 example if Ψ weighs other directions of the error than the cost does. For each level, rate and cost of the threshold are
@@ -19,7 +19,7 @@ import numpy as np
 
 from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, ArrayLike, Displayed, Panel, Series, Size, draw, number, semidefinite
+from taciturn.extend import Array, ArrayLike, Displayed, Panel, Series, Size, StyleName, draw, number, semidefinite
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
@@ -40,7 +40,7 @@ SURE = 4.0  # standard errors
 
 @dataclass(frozen=True, repr=False)
 class ThresholdPoint(Displayed):
-    """One threshold, and periodic control at its rate.
+    """Results for one threshold of a trigger, and for periodic control at the same send rate.
 
     Args:
         level: threshold Y²; the state is sent when e'Ψe exceeds it.
@@ -56,13 +56,13 @@ class ThresholdPoint(Displayed):
 
     @property
     def loses(self) -> bool:
-        """True if the threshold costs more than periodic control, beyond the statistical and quadrature errors."""
+        """Whether the threshold costs more than periodic control, beyond the statistical and quadrature errors."""
         return self.cost.value - SURE * self.cost.standard_error - self.cost.error > self.cost_periodic
 
 
 @dataclass(frozen=True, repr=False)
 class Losses(Tabular):
-    """Results for several thresholds with the same weight, in ascending order of the threshold.
+    """Results of triggers e'Ψe > Y² with the same weight Ψ and ascending thresholds Y².
 
     Args:
         points: one point for each level.
@@ -80,7 +80,7 @@ class Losses(Tabular):
         return self.points
 
     def row_fields(self) -> tuple[Field[ThresholdPoint], ...]:
-        """Return the rate and the cost of a threshold, and the cost of periodic control at this rate."""
+        """Return the columns of the table: send rate and cost of each threshold, and cost of fair periodic control."""
         return (
             Field("level", column="level"),
             Field("rate", json=lambda rate: rate.value, column="rate"),
@@ -93,7 +93,7 @@ class Losses(Tabular):
 
     @property
     def rates(self) -> tuple[tuple[float, float], ...]:
-        """Ranges of rates, lowest first, in which every threshold tried costs more than periodic control."""
+        """Ranges of send rates, in ascending order, where every tested threshold costs more than periodic control."""
         ranges: list[tuple[float, float]] = []
         before = False
         for point in sorted(self.points, key=lambda point: point.rate.value):
@@ -103,17 +103,23 @@ class Losses(Tabular):
             before = point.loses
         return tuple(ranges)
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of cost against rate for the thresholds and for periodic control."""
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot cost against send rate for the thresholds and for periodic control."""
         points = sorted(self.points, key=lambda point: point.rate.value)
         rates = [p.rate.value for p in points]
         series = [
-            Series(rates, [p.cost.value for p in points], "threshold", error=[p.cost.standard_error for p in points]),
-            Series(rates, [p.cost_periodic for p in points], "periodic control", "dashed", color=7),
+            Series(
+                rates,
+                [p.cost.value for p in points],
+                "threshold",
+                error=[p.cost.standard_error for p in points],
+                thing="policy",
+            ),
+            Series(rates, [p.cost_periodic for p in points], "periodic control", thing="periodic control"),
         ]
         lost = [f"{low:.3g} … {high:.3g}" for low, high in self.rates]
         title = f"costs more at the rates {', '.join(lost)}" if lost else "never costs more than periodic control here"
-        return draw([Panel(series, "sends per second", "cost per second", title)], ax, figsize)
+        return draw([Panel(series, "sends per second", "cost per second", title)], ax, figsize, style)
 
 
 def find_losses(
@@ -127,10 +133,10 @@ def find_losses(
     seed: int = 0,
     cycles: int = CYCLES,
 ) -> Losses:
-    """Compare thresholds e'Ψe > Y² on the error of a prediction with periodic control at the same rate.
+    """Compare triggers e'Ψe > Y² on the prediction error with periodic control at the same send rate.
 
-    For jump noise, the threshold is monitored continuously with exact event times. For Wiener noise, it is checked once
-    per period, and the cost is computed by quadrature.
+    For jump noise, the error is monitored continuously, with exact event times. For Wiener noise, the error is checked
+    once per period, and the cost is computed by quadrature.
 
     Args:
         plant: continuous-time plant with full state measurement.
@@ -163,8 +169,8 @@ def find_losses(
     Psi = np.eye(plant.states) if weight is None else semidefinite("weight", weight, plant.states, "(states, states)")
     if not np.sum(Psi * price.spread(1.0)) > 0:
         raise ProblemError(
-            "weight is zero for every error that the noise causes, so nothing would be sent; expected noise, and a "
-            "weight with a nonzero entry"
+            "weight = 0 for every error that the noise causes, so the policy would never send; expected noise that "
+            "causes an error with a positive weight"
         )
     listed = [levels] if isinstance(levels, int | float) else levels
     tried = _levels(price, Psi, period) if listed is None else [number("level", level, 0.0) for level in listed]
@@ -172,12 +178,14 @@ def find_losses(
     for level in tried:
         if plant.jumps is None:
             if np.isfinite(h_max):
-                raise ProblemError("h_max is given with Wiener noise, where intervals are unlimited; expected no h_max")
+                raise ProblemError(
+                    "h_max is given with Wiener noise, for which intervals are not limited; expected no h_max"
+                )
             rate, excess = _looked_at(price, Psi, level, period)
         else:
             if period is not None:
                 raise ProblemError(
-                    "period is given with jump noise, which is monitored continuously; expected no period"
+                    "period is given, but with jump noise the trigger is checked continuously; expected no period"
                 )
             process = JumpProcess(plant.A, plant.jumps, price.S)
             found = estimate_cycles(process, LevelTrigger(Psi, level, h_max), cycles=cycles, seed=seed)

@@ -1,4 +1,4 @@
-"""Cost and send rate of policies with continuous-time events, by simulation of the cycles between sends."""
+"""Estimate cost and send rate of policies that send at any time, by simulating the intervals between sends."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def average_events(
     steps: int | None = None,
     progress: Progress | None = None,
 ) -> Averages:
-    """Estimate cost and send rate per second of a continuous-time policy, for a plant with Poisson jumps.
+    """Estimate the cost and the send rate of a continuous-time policy, both per second, for a plant with Poisson jumps.
 
     Args:
         policy: a policy from ``taciturn.design.integral``.
@@ -83,7 +83,7 @@ def _averages(policy: EventPolicy, found: CycleEstimate, reached: bool) -> Avera
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EventPolicy(PolicyWithoutSteps):
-    """Policy in continuous time: sensor and actuator predict the state, and an integral trigger decides on sends.
+    """Policy in continuous time: sensor and actuator predict the state, and an integral trigger decides when to send.
 
     The sensor sends the state when the cost of the prediction error since the last send reaches the allowed value. The
     policy is analysed as a renewal process. To run it on nodes that exchange packets, give it a period.
@@ -123,7 +123,7 @@ class EventPolicy(PolicyWithoutSteps):
         self.refuse_what_is_only_simulated(self.plant)
 
     def summary(self) -> Mapping[str, object]:
-        """Return kind, cost, guarantee and trigger of the policy."""
+        """Return the policy's kind, its cost, its guarantee, its plant and its trigger, by name."""
         bound = self.bound()
         return {
             "kind": self.kind,
@@ -136,29 +136,41 @@ class EventPolicy(PolicyWithoutSteps):
         }
 
     @property
+    def sends_when(self) -> str:
+        """Clause that says when the policy sends a packet."""
+        trigger, limits = self.trigger, list[str]()
+        limits += [f"at the earliest {trigger.h_min:.3g} s"] if trigger.h_min > 0 else []
+        limits += [f"at the latest {trigger.h_max:.3g} s"] if np.isfinite(trigger.h_max) else []
+        for_how_long = f", of which {trigger.saturation:.3g} s count" if np.isfinite(trigger.saturation) else ""
+        after = f", {' and '.join(limits)} after it" if limits else ""
+        return f"when silence has cost {trigger.c:.3g} per second since its last packet{for_how_long}{after}"
+
+    @property
     def called(self) -> str:
-        """The kind of the policy in messages about what it does not use."""
+        """Name of the policy in error messages about options that it does not support."""
         return f"{self.kind} without a period"
 
     @property
     def why_it_cannot_run(self) -> str:
-        """The reason why nodes cannot run the policy, and the remedy."""
+        """Reason, with a remedy, why nodes cannot run this policy; error messages quote it."""
         return (
             f"{self.called} is triggered in continuous time and cannot run as a loop of nodes; expected policy.period, "
             "the seconds between checks of the error"
         )
 
     def measure(self, loop: None, request: Request, progress: Progress | None) -> Measured:
-        """Return cost and rate by a simulation of the cycles between sends."""
+        """Estimate cost and send rate by simulating the intervals between sends."""
         if request.method not in ("auto", "simulation"):
-            raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation' for {self.kind}")
+            raise ProblemError(
+                f"method is {request.method!r}; expected 'auto' or 'simulation' for the policy {self.kind}"
+            )
         found = average_events(
             self, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
         )
         return Measured(found, "simulation", "a policy in continuous time is always simulated")
 
     def bound(self, interval: float = 0.0) -> float | None:
-        """Return an upper bound on the cost for a given mean interval between sends; for 0, it holds for all intervals.
+        """Return an upper bound on the cost for a mean interval between sends; 0 gives a bound for every interval.
 
         The result is None if a shortest interval allows the cost of an interval to exceed the threshold.
         """
@@ -168,7 +180,7 @@ class EventPolicy(PolicyWithoutSteps):
         return self.cost_all_time + self.trigger.c * share
 
     def bound_error(self, interval: Estimate) -> float:
-        """Return the standard error of the bound that is due to the standard error of the mean interval."""
+        """Return the standard error of the cost bound, which follows from the standard error of the mean interval."""
         if self.trigger.h_min > 0 or interval.value <= self.trigger.saturation:
             return 0.0
         return self.trigger.c * self.trigger.saturation / interval.value**2 * interval.standard_error

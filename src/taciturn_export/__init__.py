@@ -1,4 +1,4 @@
-"""Nodes as C99, as libraries for boards and as co-simulation units.
+"""Nodes exported as C99 sources, as libraries for boards, and as co-simulation units (FMU).
 
 ``node`` prints a node of a policy as C, ``folder`` all nodes with a self-check, ``library`` the files that PlatformIO,
 Arduino and Zephyr need, and ``fmu`` a co-simulation unit. ``sizes`` counts bytes. ``export`` has the functions

@@ -1,4 +1,4 @@
-"""Commands that export a policy to devices and to other simulators."""
+"""Commands that export a policy, as C code for devices or as an FMU for other simulators."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from taciturn.cli.frame import (
     NoFunctions,
     Seed,
     Settings,
+    Verbose,
     app,
     load_changed,
     print_json,
@@ -40,8 +41,8 @@ def export(
         typer.Option(
             "--node",
             metavar="NODE",
-            help="Export only this node (with --c). `controller` also selects the nodes at its site, such as the "
-            "sensor of lqg. Default: all nodes.",
+            help="Export only this node (with --c). `controller` also selects the nodes at the "
+            "controller's site, such as the sensor of lqg. Default: all nodes.",
         ),
     ] = None,
     settings: Settings = None,
@@ -52,11 +53,12 @@ def export(
     ] = None,
     seed: Seed = 0,
     as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Export a policy as C99 for devices, or as an FMU for other simulators, with bit-identical decisions."""
+    """Export a policy as C99 for devices, or as an FMU for other simulators; its decisions remain bit-identical."""
     import taciturn
     from taciturn.errors import ProblemError
-    from taciturn.extend import WIDTH, pairs_text
+    from taciturn.extend import pairs_text, width
     from taciturn.study.record import origin
     from taciturn_export.folder import CFolder
     from taciturn_export.sizes import measure_somewhere
@@ -65,7 +67,10 @@ def export(
         raise ProblemError("--c is empty; expected the name of a folder")
     if (c is None) == (fmu is None):
         given = "neither --c nor --fmu is" if c is None else "--c and --fmu are both"
-        raise ProblemError(f"{given} given; expected one of the two options, with the path to write to")
+        raise ProblemError(
+            f"an export needs --c or --fmu, but {given} given; expected one of the two options, with the path to write "
+            "to"
+        )
     for option, value, needed, missing in (("--node", nodes, "--c", c is None), ("--fmi", fmi, "--fmu", fmu is None)):
         if value and missing:
             raise ProblemError(f"{option} is given without {needed}; expected both options, or neither of them")
@@ -81,7 +86,7 @@ def export(
             found = taciturn.export_fmu(
                 problem, fmu, name=name, version=version, precision=exact, seed=seed, progress=progress
             )
-    document, lines = found.document(), found.lines()
+    document, lines = found.document(), list[tuple[str, str]]()
     command, sized = "", list[tuple[str, str]]()
     if isinstance(found, CFolder):
         measured = measure_somewhere(found)
@@ -94,9 +99,9 @@ def export(
     if as_json:
         print_json(document, origin(problem, seed))
     else:
-        typer.echo(pairs_text(lines))
+        typer.echo("\n".join(filter(None, (found.text(verbose), pairs_text(lines)))))
         if command:  # its lines end in a backslash, so that it can be copied
-            parts = textwrap.wrap(command, WIDTH - len(INDENT) - 2, break_long_words=False, break_on_hyphens=False)
+            parts = textwrap.wrap(command, width() - len(INDENT) - 2, break_long_words=False, break_on_hyphens=False)
             typer.echo(f"{'next':14s} " + f" \\\n{INDENT}".join([f"cd {quote(str(c))} &&", *parts]))
             typer.echo(pairs_text(sized))
 

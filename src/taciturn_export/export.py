@@ -1,4 +1,4 @@
-"""Export of a problem's policy as C99 sources for devices, or as a co-simulation unit (FMU).
+"""Export a problem's policy as C99 sources for devices, or as a co-simulation unit (FMU).
 
 The exported code consists of generated data and a handwritten core (``core/``), which is the same for every policy. The
 core implements packets, their checks, the step of a node, and the exchange of packets between all nodes in one process.
@@ -40,7 +40,7 @@ def export_c(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CFolder:
-    """Write the nodes of a problem's policy as C99, bit-identical to the design.
+    """Write the nodes of a problem's policy as C99 sources, whose decisions equal the design's decisions bit for bit.
 
     Args:
         problem: from ``load`` or ``Problem``.
@@ -85,8 +85,9 @@ def export_fmu(
 ) -> Fmu:
     """Write a problem's policy as a functional mock-up unit (FMU) for co-simulation in other programs.
 
-    A step of the unit is one step of all nodes. Its inputs are the measurements ``y[i]`` and, if packets may be lost,
-    ``lost_LINK``. Its outputs are ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``.
+    A step of the unit is one step of all nodes. The inputs of the unit are the measurements ``y[i]`` and, if links can
+    drop packets, ``lost_LINK``. The outputs are ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``, and
+    ``silence_LINKS`` if the nodes add up the cost of their silence.
 
     Args:
         problem: from ``load`` or ``Problem``.
@@ -128,7 +129,7 @@ def _prepared(problem: Studied, precision: Precision, seed: int, progress: Progr
 
 
 def bear_single(loop: Loop, seed: int = 0, progress: Progress | None = None) -> Loop:
-    """Return a loop in single precision if a simulation shows that it costs the same as in double precision."""
+    """Return the loop in single precision; raise an error if single precision raises its cost."""
     single = replace(loop, precision="float32")
 
     def told(begin: float) -> Progress:
@@ -139,12 +140,12 @@ def bear_single(loop: Loop, seed: int = 0, progress: Progress | None = None) -> 
         found = average(single, plain_average(single), seed=seed, steps=STEPS, progress=told(0.5)).cost
     except UnstableError:
         raise ProblemError(
-            "precision is 'float32', in which the loop is unstable; expected 'float64', or a rescaled problem"
+            "precision is 'float32', with which the loop is unstable; expected 'float64', or a rescaled problem"
         ) from None
     error = hypot(double.standard_error, found.standard_error)
     if abs(found.value - double.value) > 4 * error + WORSE * abs(double.value):
         raise ProblemError(
-            f"precision is 'float32', in which the loop costs {found}, but {double} in 'float64'; "
-            "expected 'float64', or a rescaled problem"
+            f"precision is 'float32', with which the cost of the loop is {found}, compared with {double} in "
+            "'float64'; expected 'float64', or a rescaled problem"
         )
     return single

@@ -1,4 +1,4 @@
-"""A policy as a functional mock-up unit, for co-simulation in other simulators by FMI 3.0 or 2.0.
+"""Export a policy as a functional mock-up unit (FMU 3.0 or 2.0) for co-simulation in other simulators.
 
 A unit is an archive: XML files that list its variables and sources, the C code of all nodes with the core, and a binary
 for the present machine if a compiler is installed.
@@ -26,12 +26,12 @@ from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, write_whole
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
-from taciturn.model.packets import fingerprint, wire_links
-from taciturn.model.result import Field, Result
+from taciturn.model.packets import fingerprint, place_of, roles, wire_links
+from taciturn.model.result import VERDICT, Field, Result
 from taciturn.model.steps import Send
 from taciturn.program.c import c_literal
 from taciturn_export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, entries_of_nodes, print_folder
-from taciturn_export.node import CNode, core_links, identifier
+from taciturn_export.node import CNode, core_links, identifier, name_of_links
 
 Version = Literal["3.0", "2.0"]
 _TYPES = {
@@ -55,40 +55,41 @@ class UnitVariable(Displayed):
 
 
 def used_links(loop: Loop) -> tuple[str, ...]:
-    """Return the links between nodes over which packets are sent, in the order of their numbers."""
+    """Return the links between nodes on which the policy sends packets, in the order of their numbers."""
     found: set[str] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     return tuple(link for link in wire_links(loop.policy) if link in found)
 
 
 def references(loop: Loop) -> dict[str, int]:
-    """Return the value reference of each variable, or of the first variable of each name."""
+    """Return, by name, the FMI value reference at which the FMU's variables of that name begin."""
     codes = len(wire_links(loop.policy))
     blocks = -(-codes // 16) * 16  # references of the links by name
     y = 1024 * (1 + 3 * blocks // 1024)
     return {
         "time": 0, "degraded": 1, "lost": 16, "sent": 16 + blocks, "sends": 16 + 2 * blocks, "y": y,
         "u": y + 1024 * (1 + loop.policy.model.outputs // 1024),
+        "silence": y + 1024 * (2 + loop.policy.model.outputs // 1024 + loop.policy.model.inputs // 1024),
     }  # fmt: skip
 
 
 def tick_length(loop: Loop) -> float:
-    """Return the length of a step in seconds, or 1 if the problem does not specify one."""
+    """Return the duration of a step in seconds; 1 if the problem does not specify it."""
     return loop.problem.plant.dt or 1.0
 
 
 def may_lose(loop: Loop) -> bool:
-    """Return whether the network of the loop may drop packets."""
+    """Return whether the network of the loop can drop packets."""
     return loop.network.protocol != "ideal"
 
 
 def starts(loop: Loop) -> list[float]:
-    """Return the start values of the measurements, and of the set-points after them: those that the problem states."""
+    """Return the start values of the FMU's inputs: 0 for a measurement, and the problem's set-point for a set-point."""
     model = loop.in_units.policy.model
     return [0.0] * model.sensed + model.given.tolist() if model.set_points else [0.0] * model.sensed
 
 
 def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
-    """Return the variables of the FMU for the policy of a loop, except the time."""
+    """Return all variables of the FMU for a loop's policy, except the variable of time."""
     links, first, model, codes = used_links(loop), references(loop), loop.policy.model, wire_links(loop.policy)
     predicts = loop.policy.prediction is not None  # the input of the plant is then u = L x̂
     applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
@@ -124,12 +125,30 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
                 f"Number of packets sent on the {link} link so far",
             ),
         ]  # fmt: skip
+    found += [
+        UnitVariable(
+            f"silence_{links}", first["silence"] + i, "number", "output",
+            "Sum of what silence adds to the cost of its own response, in the unit of the cost times that of the time",
+        )
+        for i, (links, _) in enumerate(_silences(loop))
+    ]  # fmt: skip
     what = "An assumption of the theory of the policy was violated, for example by an unexpected packet loss"
     return (*found, UnitVariable("degraded", first["degraded"], "truth", "output", what))
 
 
+def _silences(loop: Loop) -> list[tuple[str, str]]:
+    """Return the links that nodes decide, as an identifier, each with the role of the node that decides."""
+    return [
+        (
+            name_of_links(links),
+            next(role for role in roles(loop.policy) if one.at in place_of(loop.policy, role)),
+        )
+        for links, one in loop.policy.theory.silence.items()
+    ]
+
+
 def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
-    """Return the XML model description of a functional mock-up unit."""
+    """Return the XML file that describes the variables of an FMU (``modelDescription.xml``)."""
     tick, variables = tick_length(loop), list_variables(loop)
     new = version == "3.0"
     root = Xml.Element("fmiModelDescription", {
@@ -158,7 +177,7 @@ def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: 
 
 
 def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
-    """Return the XML build description of a functional mock-up unit for FMI 3.0."""
+    """Return the XML file that describes how to compile an FMU (``buildDescription.xml`` of FMI 3.0)."""
     root = Xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     build = Xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
     listed = Xml.SubElement(build, "SourceFileSet", {"language": "C99"})
@@ -240,13 +259,14 @@ class Fmu(Result):
     """
 
     FIELDS: ClassVar[tuple[Field[Fmu], ...]] = (
+        VERDICT,
         Field("kind", key="policy", say="policy"),
         Field("name"),
         Field("version", key="fmi", say="unit", text=_unit),
         Field("token"),
         Field("nodes", json=lambda nodes: [node.role for node in nodes]),
         Field("binary", say="binary", none="none"),
-        Field("files", json=sorted),
+        Field("files", json=sorted, say="file", text=lambda found: sorted(found.files), part="method"),
         Field("notes", say="note"),
     )
 
@@ -259,8 +279,14 @@ class Fmu(Result):
     binary: str | None
     notes: tuple[str, ...]
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that names the exported nodes and says whether the FMU runs without a compiler."""
+        needs = "its sources need a compiler" if self.binary is None else "it has a binary for this processor"
+        return (f"an FMU of {' and '.join(node.role for node in self.nodes)}; {needs}",)
+
     def archive(self) -> bytes:
-        """Return the bytes of the FMU archive, which depend only on the content of its files."""
+        """Return the bytes of the FMU file; they depend on nothing but the contents of the files in it."""
         buffer = BytesIO()
         with zipfile.ZipFile(buffer, "w") as held:
             for path in sorted(self.files, key=lambda path: (path != "modelDescription.xml", path)):
@@ -280,11 +306,13 @@ class Fmu(Result):
             write_whole(path, self.archive())
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ProblemError(f"{path} cannot be written ({reason}); expected a path with write permission") from None
+            raise ProblemError(
+                f"the file {path} cannot be written ({reason}); expected a path with write permission"
+            ) from None
 
 
 def check_name(path: Path) -> None:
-    """Raise an error if a file name does not end in ``.fmu``."""
+    """Raise an error if the name of an FMU file does not end in ``.fmu``."""
     if path.suffix != ".fmu":
         raise ProblemError(f"the file name of the FMU is {path}; expected a name that ends in .fmu")
 
@@ -297,11 +325,12 @@ def print_fmu(
     seed: int = 0,
     compiler: str | None = "cc",
 ) -> Fmu:
-    """Return the policy of a loop as a functional mock-up unit.
+    """Return the functional mock-up unit (FMU) for a loop's policy.
 
     The unit contains all nodes. In each step, which is one sampling period, they receive packets, execute a step and
     send packets. Inputs are the measurements ``y[i]`` and, if the network may drop packets, ``lost_LINK``. Outputs are
-    ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``.
+    ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``, and ``silence_LINKS`` if the nodes add up the cost of
+    their silence.
 
     Args:
         loop: loop with plant, policy and network; it also sets the precision of the nodes.
@@ -426,13 +455,23 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
     lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.name}, 0U, 0U, none);" for i, node in enumerate(nodes)]
     whole = " && ".join(f"nodes[{i}] != NULL" for i in range(len(nodes)))
-    return "\n".join([*lines, f"  return ({whole}) ? {len(nodes)}U : 0U;", "}", ""])
+    lines += [f"  return ({whole}) ? {len(nodes)}U : 0U;", "}", ""]
+    named = {node.role: node.name for node in nodes}
+    lines += ["double fmu_silence(const fmu_memory *memory, uint32_t number) {", "  double found = 0.0;"]
+    lines += [
+        f"  if (number == {i}U) {{\n    found = (double){named[role]}_silence_{links}(&memory->{named[role]});\n  }}"
+        for i, (links, role) in enumerate(_silences(loop))
+    ]
+    return "\n".join(
+        [*lines, *([] if _silences(loop) else ["  (void)memory;", "  (void)number;"]), "  return found;", "}", ""]
+    )
 
 
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
     """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
         mark=GENERATED_BY, token=token, stamp=digest[:16], tick=c_literal(tick_length(loop), "float64"),
+        silences=len(loop.policy.theory.silence),
         measured=loop.policy.model.outputs, sensed=loop.policy.model.sensed, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in references(loop).items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
@@ -464,6 +503,7 @@ _DATA = """{mark}: the data of a unit. Do not edit. */
 #define FMU_SENSED {sensed}     /* measurements of the plant */
 #define FMU_MEASURED {measured} /* with the set-points after them */
 #define FMU_APPLIED {applied}
+#define FMU_SILENCES {silences}U /* nodes that add up what their silence costs */
 
 /* value references; for an array, the reference of the first entry */
 {references}
@@ -480,6 +520,9 @@ extern const unsigned fmu_inputs[];  /* input of the plant of each input, in the
 
 /* Start the nodes, and return their number; 0: the data of a node are damaged. */
 size_t fmu_start(fmu_memory *memory, tac_node **nodes);
+
+/* Return what the silence of a node has cost since it started, by the number of the node among those that decide. */
+double fmu_silence(const fmu_memory *memory, uint32_t number);
 
 #endif
 """

@@ -1,4 +1,4 @@
-"""The nodes of a policy as a folder of C99: sources, a self-check with its data, a build file, instructions.
+"""Folder with the nodes of a policy in C99: sources, a self-check with its data, a build file, and instructions.
 
 The self-check compares exported nodes, bit for bit, with recorded measurements, losses, decisions and inputs of a loop
 (``RecordedRun``).
@@ -19,7 +19,7 @@ import numpy as np
 
 from taciturn import __version__
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, factor, write_whole
+from taciturn.extend import Array, Displayed, factor, number_of, write_whole
 from taciturn.loop import Loop
 from taciturn.model.network import REFERENCE
 from taciturn.model.packets import (
@@ -33,7 +33,7 @@ from taciturn.model.packets import (
     wire_links,
 )
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result, plain_fields
+from taciturn.model.result import VERDICT, Field, Result, plain_fields
 from taciturn.model.steps import Received, Send
 from taciturn.model.wire import SETPOINT
 from taciturn.program import machine
@@ -47,7 +47,7 @@ from taciturn_export.node import EXPORTED, CNode, CoreSizes, identifier, link_co
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecordedRun(Displayed):
-    """A recorded run of a closed loop, step by step.
+    """A recorded run of a closed loop, with one row for each step.
 
     Args:
         links: links on which packets are sent, in the order of the columns.
@@ -69,7 +69,7 @@ class RecordedRun(Displayed):
 
     @property
     def rows(self) -> Array:
-        """All recorded columns with one row per step: inputs of the nodes first, then their expected outputs.
+        """All recorded columns, one row per step: first the inputs of all nodes, then their outputs.
 
         The measurements and the inputs are in the order of the nodes.
         """
@@ -77,45 +77,45 @@ class RecordedRun(Displayed):
         return np.hstack([self.measured[:, outputs], self.drawn, self.arrived, self.sent, self.applied[:, inputs]])
 
 
-def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> RecordedRun:
-    """Run the bit-exact build of a loop's program, and return its measurements, losses, decisions and inputs."""
+def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = None) -> RecordedRun:
+    """Simulate a loop bit-exactly, and record measurements, losses, decisions and control inputs."""
     loop = loop.in_units
     program, plant = loop.open_program(), loop.problem.plant
     generator = np.random.default_rng(seed)
     noise = {"w": factor(plant.W), "v": factor(plant.V)}
     supplied: dict[Name, Array] = {}
     for name, spread in noise.items():
-        values = generator.standard_normal((ticks, spread.shape[1])) @ spread.T
+        values = generator.standard_normal((steps, spread.shape[1])) @ spread.T
         supplied |= {Entry(name, i): column for i, column in enumerate(values.T)}
-    inputs = np.array([supplied[name] if name in supplied else generator.random(ticks) for name in program.inputs])
+    inputs = np.array([supplied[name] if name in supplied else generator.random(steps) for name in program.inputs])
     own = [program.inputs.index(name) for name in drawn_by_the_policy(program)]
     if drawn is not None:
         inputs[own] = drawn.T
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
-    outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
+    outputs = run(program, loop.start(program, 1, seed), steps, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
     measured = [*named("y", range(plant.sensed)), *named(REFERENCE, range(plant.set_points))]
     links: tuple[str, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     vector = RecordedRun(
         links,
-        _columns([found[name] for name in measured], ticks),
-        _columns([inputs[i] for i in own], ticks),
-        _columns([found[Received(link)] for link in links], ticks),
-        _columns([found[Sent(link)] for link in links], ticks),
-        _columns([found[Entry("applied", i)] for i in range(plant.inputs)], ticks),
+        _columns([found[name] for name in measured], steps),
+        _columns([inputs[i] for i in own], steps),
+        _columns([found[Received(link)] for link in links], steps),
+        _columns([found[Sent(link)] for link in links], steps),
+        _columns([found[Entry("applied", i)] for i in range(plant.inputs)], steps),
         entries_of_nodes(loop.policy),
     )
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
         raise ProblemError(
-            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} steps; "
-            "expected a policy that stabilises the loop over this network"
+            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} steps; expected a policy "
+            "that stabilises the loop over this network"
         )
     return vector
 
 
 def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
-    """Return the outputs and the inputs of the plant in the order in which the nodes measure and apply them."""
+    """Return the numbers of the plant's outputs and inputs, in the order in which nodes measure and apply them."""
     names, links = roles(policy), plant_links(policy).values()
     return [i for role in names for ends in links if ends.measures == role for i in ends.outputs], [
         i for role in names for i in inputs_at(policy, role)
@@ -123,13 +123,13 @@ def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
 
 
 def drawn_by_the_policy(program: Program) -> list[Name]:
-    """Return the inputs of ``Loop.open_program`` with the uniform numbers that the policy draws."""
+    """Return the inputs of ``Loop.open_program`` through which the policy's uniform random numbers enter."""
     drawn = [op for name, op in program.outputs.items() if is_entry(name, "drawn")]
     return [program.inputs[program.ops[op].arguments[0]] for op in drawn]
 
 
-def _columns(columns: list[Array], ticks: int) -> Array:
-    return np.array(columns).reshape(len(columns), ticks).T
+def _columns(columns: list[Array], steps: int) -> Array:
+    return np.array(columns).reshape(len(columns), steps).T
 
 
 CORE_SOURCES = tuple(
@@ -157,7 +157,7 @@ def _sizes(found: CFolder) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CFolder(Result):
-    """The contents of a folder with the C99 sources of a policy's nodes.
+    """The C99 sources of a policy's nodes, as the files of a folder.
 
     Args:
         name: name of the policy, as an identifier.
@@ -171,11 +171,12 @@ class CFolder(Result):
     """
 
     FIELDS: ClassVar[tuple[Field[CFolder], ...]] = (
+        VERDICT,
         Field("kind", key="policy", say="policy", text="{}, in {of.precision}, as {of.name}"),
         *plain_fields("name", "precision"),
         Field("nodes", json=_nodes, say="", text=_sizes),
         Field("ticks", lambda found: len(found.vector.sent), say="self-check", text="{} steps"),
-        Field("files", json=sorted),
+        Field("files", json=sorted, say="file", text=lambda found: sorted(found.files), part="method"),
     )
 
     name: str
@@ -188,17 +189,23 @@ class CFolder(Result):
     sizes: str
 
     @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that names the exported nodes and says how they are checked."""
+        nodes, steps = [node.role for node in self.nodes], number_of(len(self.vector.sent), "step")
+        return (f"C99 sources of {' and '.join(nodes)}; the self-check compares {steps} bit for bit",)
+
+    @property
     def precision(self) -> str:
         """Format of the numbers."""
         return "float32" if self.single else "float64"
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Names of the C files of the self-check, which include all exported nodes, in the order of their names."""
+        """Names of the C files of the self-check and of all exported nodes, in alphabetical order."""
         return tuple(sorted(name for name in self.files if name.endswith(".c") and "/" not in name))
 
     def write(self, folder: Path) -> None:
-        """Write the files, and remove files of an earlier export.
+        """Write all files to the folder, and remove the files of an earlier export from it.
 
         Raises:
             ProblemError: the folder cannot be written to, or one of the files exists and was not exported.
@@ -211,8 +218,8 @@ class CFolder(Result):
             for path, line in there.items():
                 if path in needed and not OURS.match(line):
                     raise ProblemError(
-                        f"{path} exists and is not from an earlier export; expected a folder without a file of this "
-                        "name"
+                        f"the file {path} already exists and is not from an earlier export; expected a folder without "
+                        "a file of this name"
                     )
             for name, text in self.files.items():
                 write_whole(folder / name, text.encode())
@@ -243,7 +250,7 @@ def _first_line(path: Path) -> str:
 
 
 def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
-    """Return the nodes of a loop's policy as a folder of C99 sources.
+    """Return the folder of C99 sources for the nodes of a loop's policy.
 
     Args:
         loop: loop with plant, policy and network; it also sets the precision of the nodes.

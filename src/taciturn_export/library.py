@@ -1,4 +1,4 @@
-"""Writes the files by which PlatformIO, Arduino and Zephyr accept an exported folder as a library of theirs."""
+"""Files with which the library managers of PlatformIO, Arduino and Zephyr recognise an exported folder as a library."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ARCHITECTURES = (
 
 
 def print_library(name: str, policy: Policy, core: Sequence[str], nodes: Sequence[CNode]) -> dict[str, str]:
-    """Return the files of the library formats, by path.
+    """Return the files with which library managers recognise the folder, by path.
 
     PlatformIO and Arduino compile everything in ``src`` and nothing else of a library, so the files in ``src`` include
     the files of a device from the folder above. The self-check is not in ``src``, because it has a ``main``.
@@ -55,7 +55,7 @@ def print_library(name: str, policy: Policy, core: Sequence[str], nodes: Sequenc
 
 
 def entries_text(signal: str, entries: Sequence[int]) -> str:
-    """Return the outputs or inputs of the plant that a node measures or applies, as text."""
+    """Return a text that names the plant outputs that a node measures, or the plant inputs that it applies."""
     return ", ".join(f"{signal}[{index}]" for index in entries)
 
 

@@ -1,4 +1,4 @@
-"""Sizes of exported nodes in bytes, compiled for a Cortex-M or for this machine."""
+"""Measure how many bytes exported nodes occupy when compiled for a Cortex-M or for this machine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LONGEST = 500  # characters of a tool's output that an error message quotes
 
 
 class Target(NamedTuple):
-    """A processor, and the tools that compile for it."""
+    """A target processor, with its compiler tools."""
 
     processor: str  # name of the processor
     flags: tuple[str, ...]  # compiler flags
@@ -48,7 +48,7 @@ HOST = Target(platform.machine(), (), "")  # this machine
 
 
 class Sizes(NamedTuple):
-    """The size of a part of a program in bytes; constants between instructions count as code."""
+    """Sizes of the parts of a program in bytes; constants between instructions count as code."""
 
     code: int  # size of the instructions
     constants: int  # size of the constants in read-only memory
@@ -56,7 +56,7 @@ class Sizes(NamedTuple):
 
 
 def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") -> dict[str, Sizes]:
-    """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic)."""
+    """Measure the size of each node and of the common ``"core"``, without libraries such as software floating point."""
     with TemporaryDirectory() as name:
         into = Path(name)
         folder.write(into)
@@ -71,7 +71,7 @@ def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") 
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None."""
+    """Measure the nodes for a Cortex-M or, without its compiler, for this machine; return None without any compiler."""
     targets = (CORTEX_M4F if folder.single else CORTEX_M3, HOST)
     target = next((target for target in targets if shutil.which(target.compiler)), None)
     return None if target is None else (target.processor, measure_sizes(target, folder, "-Os"))
@@ -80,24 +80,25 @@ def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
 def compile_sources(
     target: Target, sources: Sequence[str], into: Path, level: Optimisation, flags: Sequence[str] = ()
 ) -> list[str]:
-    """Compile C files in a folder, with warnings as errors, and return the names of the objects."""
+    """Compile C files in a folder, with warnings as errors, and return the names of the resulting object files."""
     warned = [flag for flag in FLAGS.split() if not flag.startswith("-O")]
     call_tool(target.compiler, [*warned, "-Werror", level, *target.flags, *flags, "-c", *sources], into)
     return [Path(name).with_suffix(".o").name for name in sources]
 
 
 def find_tool(name: str) -> str:
-    """Return the path of a compiler or an emulator."""
+    """Return the path of a compiler or an emulator; raise an error if it is not installed."""
     found = shutil.which(name)
     if found is None:
         raise ProblemError(
-            f"{name} is missing; expected this program on the path; install it with: apt install {PACKAGES[name]}"
+            f"the program {name} is missing; expected this program on the path; install it with: apt install "
+            f"{PACKAGES[name]}"
         )
     return found
 
 
 def call_tool(tool: str, arguments: Sequence[str], folder: Path, patience: float = PATIENCE) -> str:
-    """Run a tool in a folder, and return its output."""
+    """Run a compiler tool in a folder, and return its output."""
     command = [find_tool(tool), *arguments]
     try:
         done = subprocess.run(
@@ -112,8 +113,8 @@ def call_tool(tool: str, arguments: Sequence[str], folder: Path, patience: float
         )
     except subprocess.TimeoutExpired:
         raise ProblemError(
-            f"{tool} has not finished after {patience:g} s; use a self-check with fewer steps, or reduce the load on "
-            "this machine"
+            f"the program {tool} has not finished after {patience:g} s; use a self-check with fewer steps, or reduce "
+            "the load on this machine"
         ) from None
     if done.returncode != 0:
         said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
@@ -121,7 +122,7 @@ def call_tool(tool: str, arguments: Sequence[str], folder: Path, patience: float
             raise ProblemError("the program is larger than the board's 4 MiB; expected a self-check with fewer steps")
         if "rdimon.specs" in said:
             said = f"the C library is missing; install it with: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
-        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); correct the reported cause, and run again")
+        raise ProblemError(f"the program {tool} fails ({said[:LONGEST]}); correct the reported cause, and run again")
     return done.stdout
 
 

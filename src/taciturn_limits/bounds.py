@@ -1,4 +1,4 @@
-"""Lower bounds on the cost of every send schedule of a controller at a given rate, and the optimal send schedule.
+"""Lower bounds on the cost of all send schedules of a controller at a given rate, and the optimal schedule.
 
 For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send (σ = 1) resets. For
 any price λ of a send, duality (``dual``) gives a g with E[(1−σ)e'Γe + λσ] ≥ g. Therefore
@@ -36,12 +36,12 @@ EASY = 0.97  # sends per step from which on the bound is the cost of sending eve
 def bound_below(
     loop: Loop, rate: float, confidence: float = LEVEL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
-    """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step."""
+    """Compute a lower bound on the cost of all send schedules of a loop's controller with a given rate per step."""
     reset = resets(loop)
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
     count("seed", seed, 0)
     if rate > 1 + 1e-9:
-        raise ProblemError(f"rate is {rate:g}; expected at most 1")
+        raise ProblemError(f"rate is {rate:g}; expected a rate of at most 1 send per step")
     base = loop.policy.cost_all_time
     if rate >= EASY or not reset.weight.any():
         return LowerBound(base, confidence, rate, 0.0)
@@ -64,7 +64,7 @@ def bound_below(
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature."""
+    """Compute the optimal send schedule of a loop's controller for a price per send, by quadrature."""
     from taciturn_limits.optimal import solve_optimal
 
     reset = resets(loop)

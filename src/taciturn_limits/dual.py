@@ -1,4 +1,4 @@
-"""Lower confidence bounds, by duality, on the cost of every send schedule of an error that a send resets.
+"""Lower confidence bounds on the cost of all send schedules for an error that a send resets to 0, by duality.
 
 The error is e⁺ = F e(1−σ) + w, where σ is 1 at a send. Silence costs c(e) = e'Γe, and a send costs λ. Let t be the
 check of the first send in a cycle, and M_t any martingale. Then
@@ -43,7 +43,7 @@ BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and thei
 
 
 class Martingale:
-    """Martingale built from the function φ = min(0, U), where U is the cost of silence minus the cost of a send.
+    """Martingale that is built from φ = min(0, U), where U is the cost of not sending minus the cost of a send.
 
     The Gaussian function (called bell) has the height and the curvature of φ at 0. Its conditional mean under Gaussian
     noise has a closed form, so that only the conditional mean of the rest, φ minus the bell, is sampled.
@@ -64,7 +64,7 @@ class Martingale:
         self.less = float(np.prod(widths)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check."""
+        """Average the function φ, minus its Gaussian part, at the next check over the given noises."""
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
@@ -81,11 +81,11 @@ class Martingale:
         return self._off(spread(self.cost), spread(self.power)).mean(axis=2)
 
     def bell_after(self, error: Array) -> Array:
-        """Return the mean of the Gaussian part of the function φ at the next check, given the error before it."""
+        """Return the mean of the Gaussian part of the function φ at the next check, for the present error."""
         return -self.depth * self.less * np.exp(-0.5 * lengths(error @ self.blurred.T))
 
     def now(self, error: Array) -> tuple[Array, Array]:
-        """Return the Gaussian part of the function φ at each error, and the remaining part of φ."""
+        """Return the function φ at each error in two parts: its Gaussian part, and the rest."""
         cost, power = lengths(error @ self.cost.T), lengths(error @ self.power.T)
         bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
         return bell, self._off(cost, power)
@@ -107,7 +107,7 @@ class Martingale:
 
 
 def lengths(vectors: Array) -> Array:
-    """Return the squared length of each vector, (…, n) to (…,)."""
+    """Return the squared length of each vector along the last axis of an array."""
     return np.einsum("...i,...i->...", vectors, vectors)
 
 
@@ -132,7 +132,7 @@ ROUNDS = 60
 
 @dataclass(frozen=True, repr=False)
 class SampledDual(Displayed):
-    """Monte Carlo estimate of a lower bound g° on the mean cost per check, the root of a sampled function h."""
+    """Estimate of a lower bound g° on the mean cost per check, from simulation; g° is the root of a function h."""
 
     gain: float  # g, close to the root
     above: float  # unbiased estimate of h(g)
@@ -145,7 +145,7 @@ class SampledDual(Displayed):
 
 
 def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> float:
-    """Return a lower confidence bound on a sum Σ c_i g°_i of independent estimates, at this confidence for the sum."""
+    """Compute a lower confidence bound on a weighted sum Σ c_i g°_i of independent estimates."""
     if not terms:
         return 0.0
     middle = sum(c * (one.gain + min(one.least * one.above, one.most * one.above)) for c, one in terms)
@@ -155,7 +155,7 @@ def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> 
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """A lower bound on the mean cost per check, with the price of the sends, of every send schedule."""
+    """Lower bound on the mean cost per check, including the price of sends, valid for every send schedule."""
 
     gain: float  # the bound, at the requested confidence
     expected: float  # the estimate of which ``gain`` is the lower confidence limit
@@ -172,7 +172,7 @@ def bound_schedules(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DualBound:
-    """Return a lower bound on E[e'Γe(1−σ) + λσ] that holds for all causal send schedules σ of e⁺ = F e(1−σ) + w."""
+    """Compute a lower bound on E[e'Γe(1−σ) + λσ] for all causal send schedules σ of the error e⁺ = F e(1−σ) + w."""
     found = sample_dual(F, noise, Gamma, price, fitted, confidence, seed, progress=progress)
     return DualBound(max(bound_sum([(1.0, found)], confidence), 0.0), found.expected, found.checks)
 
@@ -188,7 +188,7 @@ def sample_dual(
     precise: float | None = None,
     progress: Progress | None = None,
 ) -> SampledDual:
-    """Return a Monte Carlo estimate of a lower bound on the mean cost per check of every send schedule."""
+    """Estimate a lower bound on the mean cost per check, valid for every send schedule, by simulation."""
     game = Martingale(F, noise, Gamma, fitted)
     draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)
@@ -239,7 +239,7 @@ class _Outcome:
         return float(self.when.mean())
 
     def end(self, values: Array, side: int) -> float:
-        """Return a lower (side −1) or upper (side 1) limit of a mean, six standard errors from its estimate."""
+        """Return a lower (side −1) or upper (side 1) limit of a mean: its estimate ∓ six standard errors."""
         return float(values.mean() + side * CERTAIN * values.std(ddof=1) / np.sqrt(len(values)))
 
 
@@ -262,7 +262,7 @@ class _Duel:
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> list[_Outcome]:
-        """Return the estimates at each g from a number of batches, a multiple of ABREAST."""
+        """Simulate a multiple of ``ABREAST`` batches, and return the estimates for each value of g."""
         found, rounds = list[tuple[Array, int, int]](), batches // ABREAST
         while len(found) < rounds:
             found.append(self._side_by_side())

@@ -1,4 +1,4 @@
-"""Near-optimal send schedules of an error that a send resets, from a fitted value function.
+"""Near-optimal send schedules for an error that a send resets to 0, computed from a fitted value function.
 
 The error is e⁺ = F e(1−σ) + w, where σ is 1 at a send and 0 otherwise. Silence costs e'Γe, and a send costs λ. The
 schedule with the least mean cost g per check sends if and only if
@@ -47,7 +47,7 @@ from taciturn.lqg.equation import stationary
 
 
 class Lattice:
-    """A fixed set of Sobol points; each use shifts all points by a new random vector."""
+    """A fixed set of Sobol points, to which each use adds a new random vector."""
 
     def __init__(self, points: int, dimensions: int) -> None:
         """Compute the points."""
@@ -57,7 +57,7 @@ class Lattice:
     def normals(
         self, draws: np.random.Generator, copies: int, wanted: slice | npt.NDArray[np.bool_] = slice(None)
     ) -> Array:
-        """Return standard normal samples, (copies, points, dimensions); each copy is a newly shifted Sobol set.
+        """Return standard normal samples, shape (copies, points, dimensions); each copy is a Sobol set shifted anew.
 
         Each copy is shifted by an independent uniform draw [cranley1976]. All shifts are drawn, and the wanted copies
         are returned.
@@ -78,14 +78,14 @@ SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative t
 
 @dataclass(frozen=True, repr=False)
 class Rarity(Displayed):
-    """Bounds on the send rate and the cost of the optimal schedule for a given price per send."""
+    """Bounds on the send rate and on the cost of the optimal schedule at a given price per send."""
 
     rate: float  # upper bound on its sends per check
     gain: float  # lower bound on its mean cost per check, including the price of the sends
 
 
 def decayed(F: Array, W: Array) -> Array | None:
-    """Return Σ_k F^k W F'^k, or None if F does not decay, or so slowly that rounding decides whether the sum is finite.
+    """Return Σ_k F^k W F'^k; None if F is unstable, or so close to unstable that rounding errors decide.
 
     A mode on the unit circle, such as the position of a rigid body, may be computed as slightly inside of it.
     """
@@ -98,7 +98,7 @@ def decayed(F: Array, W: Array) -> Array | None:
 
 
 def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rarity:
-    """Return bounds on send rate and cost of the optimal schedule; 1 and 0 for an error that does not decay."""
+    """Bound the rate and the cost of the optimal schedule; the bounds are 1 and 0 if the error does not decay."""
     covariance, value = decayed(F, noise), decayed(F.T, Gamma)
     if covariance is None or value is None:
         return Rarity(1.0, 0.0)
@@ -111,11 +111,12 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
 
 
 def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
-    """Return an upper bound on the send rate of the rule "send the error e if e'Γe > threshold".
+    """Compute an upper bound on the send rate of the rule "send the error e if e'Γe > threshold".
 
     The bound is P(e'Γe > threshold) for the error without sends.
 
-    An error that was not sent so far is closer to 0 than one without this condition (Gaussian correlation inequality).
+    An error that has not been sent is closer to 0 than an error without this condition (Gaussian correlation
+    inequality).
     """
     covariance = decayed(F, noise)
     if covariance is None:
@@ -125,7 +126,7 @@ def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> f
 
 
 def bound_tail(weights: Array, limit: float) -> tuple[float, float]:
-    """Return Chernoff bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i², minimised over several values of s."""
+    """Compute Chernoff bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i²; the best of some s is used."""
     s = SHARES / (2 * weights.max())
     logs = -0.5 * np.log1p(-2 * s[:, None] * weights).sum(axis=1) - s * limit
     return float(np.exp(logs.min())), float(np.exp((logs - 1 - np.log(s)).min()))
@@ -165,18 +166,18 @@ class Fitted(Displayed):
     interval: float  # mean number of checks between sends of the threshold policy whose errors were used for the fit
 
     def sends(self, error: Array, Gamma: Array) -> Bits:
-        """Return for each error whether this schedule sends it, (errors, n) to (errors,)."""
+        """Return, for each error, whether this schedule sends; errors have the shape (errors, n)."""
         bell = self.height * np.exp(-0.5 * np.maximum(squares(error, self.Pi), 0.0))
         return squares(error, Gamma) - bell > self.gain
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return a near-optimal send schedule at the price λ of a send."""
+    """Compute a near-optimal send schedule for the price λ of a send."""
     return Fitting(F, noise, Gamma, seed, points).at(price)
 
 
 class Fitting:
-    """Fits of near-optimal send schedules to simulated errors, for many prices per send."""
+    """Fits near-optimal send schedules to simulated errors, for any number of prices per send."""
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, seed: int = 0, points: int = POINTS) -> None:
         """Start without a fit."""
@@ -184,13 +185,14 @@ class Fitting:
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does."""
+        """Compute a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does."""
         F, noise, Gamma, _, _ = self._given
         half = root(noise)
         if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
             raise ProblemError(
-                "nothing would ever be sent: the noise reaches no direction of the error that Γ weighs; expected at "
-                "least one such direction; give the plant noise, or weigh the states that the noise reaches"
+                "the policy would never send: the noise affects no direction of the error to which Γ gives weight; "
+                "expected at least one such direction: add process noise to the plant, or give weight to the states "
+                "that the noise affects"
             )
         # all prices within half an octave use the same errors, so that the result changes smoothly with the price
         scale = float(np.sum(Gamma * noise)) or price
@@ -212,7 +214,7 @@ class _Ground:
     interval: float  # mean number of checks between sends of the threshold policy that gave the errors
 
     def fit(self, price: float) -> Fitted:
-        """Return the near-optimal send schedule at a given price of a send, by fitted value iteration."""
+        """Compute the near-optimal send schedule for a given price per send, by fitted value iteration."""
         here, into = self.here, self.into
         size = len(into)
         gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
@@ -241,7 +243,7 @@ class _Ground:
 
 
 def shifted_forms(mean: Array, noise: Array, weight: Array) -> Array:
-    """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) of errors m plus or minus noises w."""
+    """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) for all pairs of errors m and noises w."""
     crossed = 2 * (mean @ weight) @ np.swapaxes(noise, 1, 2)
     apart = squares(mean, weight)[:, :, None] + squares(noise, weight)[:, None]
     return np.stack([apart + crossed, apart - crossed])
@@ -262,11 +264,13 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
             f"the error has {len(into)} dimensions, but its value function can be fitted in at most {DIRECTIONS}; "
             "expected a plant with fewer states, or policy 'excess'"
         )
+    check_time()
     draws = np.random.default_rng(seed)
     blocks = -(-(points + 1) // SHARERS)
     x = kept[draws.choice(len(kept), blocks * SHARERS)] * draws.uniform(NEAREST, FARTHEST, (blocks * SHARERS, 1))
     x[0] = 0.0
     w = Lattice(NOISES, half.shape[1]).normals(draws, blocks) @ half.T
+    check_time()
     after = (x @ F.T).reshape(blocks, SHARERS, len(F))
     return _Ground(_terms(x @ into.T), after @ into.T, w @ into.T, shifted_forms(after, w, Gamma), into, interval)
 
@@ -284,7 +288,7 @@ def _least_squares(rows: Array, values: Array) -> Array:
 
 
 def squares(x: Array, weight: Array) -> Array:
-    """Return the quadratic form x'Mx of each vector x, (…, n) to (…,)."""
+    """Return the quadratic form x'Mx of each vector x along the last axis of an array."""
     return np.einsum("...i,...i->...", x @ weight, x)
 
 
@@ -305,9 +309,9 @@ def _weight(terms: Array, d: int) -> Array:
 
 
 def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: int = 0) -> tuple[Array, float]:
-    """Return simulated errors that a given send rule does not send, and the mean interval between sends.
+    """Simulate a send rule; return errors at which it does not send, and the mean interval between sends.
 
-    The errors are collected after every path had a few sends.
+    The errors are collected after a few sends on every path.
     """
     draws, half = np.random.default_rng(seed), root(noise)
     error, sent_ever, counted, checks = np.zeros((PATHS, len(F))), 0, 0, 0

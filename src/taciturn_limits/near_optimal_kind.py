@@ -1,4 +1,4 @@
-"""Nearly optimal trigger for an error that a send resets, with a fitted function for the savings in later steps."""
+"""Near-optimal trigger for an error that a send resets to 0; a fitted function predicts what a send saves later."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from taciturn.model.trigger import Form, GaussianTerm
 
 
 def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> Policy:
-    """Design the policy that nearly minimises J + λ·rate, the cost J plus a price λ for each send.
+    """Design the policy that nearly minimises J + λ·rate, where J is the cost and λ the price of a send.
 
     The rate is in sends per step or per second.
 
@@ -65,7 +65,7 @@ KIND = Kind(
     built_in="wiener-double-integrator",
     nodes="S+C, A; for a continuous plant with measured state S, C+A",
     follows=("constant",),
-    proved="no bound in advance; `evaluate` reports a lower bound for all schedules",
+    proved="no guarantee in advance; `evaluate` reports a lower bound for all schedules",
     refused="a price so high that the policy would almost never send; jumps with `C` or `V`",
     data="a trigger form with a bell, over `deviation` or `error`",
     order="operations of `lqg` with model; for S, C+A those of `consistent`",

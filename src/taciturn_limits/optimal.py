@@ -73,7 +73,7 @@ LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuationRegion(Displayed):
-    """Set U(x) < 0 of errors that are not sent, with U(x) = Σ_i m_i x_i² − g + Σ_k v_k φ(x_k − F x)."""
+    """The errors x that are not sent: those with U(x) < 0, where U(x) = Σ_i m_i x_i² − g + Σ_k v_k φ(x_k − F x)."""
 
     white: White  # the chain, with costs in units of the price of a send
     x: Array  # nodes, one of each pair ±x, (nodes, n)
@@ -96,11 +96,11 @@ class ContinuationRegion(Displayed):
         return int(np.abs(self.x).max(axis=0).argmax())
 
     def values(self, x: Array) -> Array:
-        """Return U(x), the cost of silence minus the cost of a send, at each of the points x."""
+        """Return U(x), the cost of not sending minus the cost of a send, at each of the points x."""
         return self._moments(x, 1)[:, 0] + (x * x) @ self.white.m - self.cost
 
     def slopes(self, x: Array) -> tuple[Array, Array]:
-        """Return the cost difference U(x) and its gradient at each of the points x."""
+        """Return U(x), the cost of not sending minus the cost of a send, and its gradient at each of the points x."""
         # the gradient of Σ v_k φ(x_k − z) at z = F x is Σ v_k (x_k − z) φ; the chain rule multiplies it by F
         n, F = x.shape[1], self.white.F
         sums = self._moments(x, 1 + n)
@@ -108,7 +108,7 @@ class ContinuationRegion(Displayed):
         return sums[:, 0] + (x * x) @ self.white.m - self.cost, ahead @ F + 2 * self.white.m * x
 
     def curves(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return the cost difference U(x), its gradient and its second derivatives at each of the points x."""
+        """Return U(x), the cost of not sending minus the cost of a send, with its first and second derivatives."""
         n, F = x.shape[1], self.white.F
         sums, z = self._moments(x, 1 + n + n * (n + 1) // 2), x @ F.T
         ahead = sums[:, 1 : 1 + n] - z * sums[:, :1]
@@ -122,7 +122,7 @@ class ContinuationRegion(Displayed):
         return value, ahead @ F + 2 * self.white.m * x, F.T @ square @ F + 2 * np.diag(self.white.m)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return both ends of the region along the next coordinate axis, for given coordinates on the earlier axes.
+        """Find both ends of the region along one coordinate axis, for given coordinates on the axes before it.
 
         At the ends, the minimum of U over the later axes changes its sign.
         """
@@ -231,7 +231,7 @@ class ContinuationRegion(Displayed):
 
 
 def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRegion:
-    """Return the next set of unsent errors, with the U of later decisions that follow the region of the solution."""
+    """Improve the policy: return the set of errors not to send, from the cost difference U of the present policy."""
     system, dear = solved.system, beyond_a_send(solved)
     deepest = float(np.maximum(-dear, 0.0).max())
     return ContinuationRegion(
@@ -240,16 +240,16 @@ def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRe
 
 
 def beyond_a_send(solved: Solved) -> Array:
-    """Return, for each node, the cost of silence minus that of a send, in units of the price per send, (nodes,)."""
+    """Return U at each node, the cost of not sending minus the cost of a send, divided by the price, shape (nodes,)."""
     return solved.costs - (solved.excess + solved.rate) * solved.checks
 
 
 def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
-    """Return by how much rate, excess and cost change if errors are also sent wherever a send costs less than silence.
+    """Compute how rate, excess cost and cost change if every error is sent at which a send costs less.
 
-    A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
-    visits to the node times the change of the expected future by a send there. This is exact if the visits are counted
-    after the removal.
+    A chord through a region that is not convex contains nodes at which a send costs less than silence. Removing a node
+    changes a mean by the number of visits to the node times the change of the expected future by a send there. This is
+    exact if the visits are counted after the removal.
     """
     dear = beyond_a_send(solved)
     inside = dear > negligible
@@ -281,7 +281,7 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """Optimal send schedule for a given price per send, with its rate, its cost, and the errors of the quadrature."""
+    """Optimal send schedule for a price per send, with its rate, its cost, and bounds on their quadrature errors."""
 
     cost: float  # g = excess + price · rate, the least mean cost per check
     cost_error: float  # claimed absolute error of the cost
@@ -291,7 +291,7 @@ class Optimum(Renewal):
     region: ContinuationRegion
 
     def value(self, e: ArrayLike) -> Array:
-        """Return U(e), the cost of silence minus the cost of a send, for errors e before the decision.
+        """Return U(e), the cost of not sending minus the cost of a send, for errors e before the decision.
 
         Beyond the window of the quadrature, where errors hardly ever occur, U(e) = e'Γe − g is returned.
         """
@@ -301,7 +301,7 @@ class Optimum(Renewal):
         return self.price * self.region.values(points @ self.region.white.rows.T).reshape(given.shape[:-1])
 
     def sends(self, e: ArrayLike) -> np.typing.NDArray[np.bool_]:
-        """Return, for each error e, whether the optimal schedule sends it because silence would cost more: U(e) > 0."""
+        """Return, for each error e, whether the optimal schedule sends it: true if not sending costs more, U(e) > 0."""
         return self.value(e) > 0
 
 
@@ -313,7 +313,7 @@ def solve_optimal(
     accuracy: float | None = None,
     progress: Progress | None = None,
 ) -> Optimum:
-    """Return the send schedule that minimises the mean cost per check: e'Γe in silence, or the price of a send."""
+    """Compute the schedule with the least mean cost per check, which is e'Γe without a send and the price with one."""
     F = square("F", F)
     n = len(F)
     noise, Gamma = semidefinite("noise", noise, n), semidefinite("Gamma", Gamma, n)
@@ -360,7 +360,7 @@ class _Iteration:
         self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
-        """Return the optimal schedule, computed with a density of quadrature nodes; factor scales their region."""
+        """Compute the optimal schedule with a given density of quadrature nodes, on a region scaled by ``factor``."""
         found = self._iterate(density, factor, step, MOST_STORED_NODES, self.settled)
         if found is not None and step == 1:
             _gaps(found, ROUGHLY)  # rejects a region with holes before many nodes are used
@@ -390,9 +390,9 @@ def _gaps(solved: Solved, negligible: float) -> tuple[float, float, float]:
     gaps = holes(solved, negligible)
     if gaps[2] > SPLIT * (solved.excess + solved.rate):
         raise NoQuadratureError(
-            f"the region of errors without a send has gaps, and ignoring these gaps costs {gaps[2]:.1g} times the "
-            "price of "
-            f"a send per check; expected a region without gaps along every axis; {OTHERWISE}"
+            "the region of errors in which the policy does not send has gaps, and ignoring these gaps costs "
+            f"{gaps[2]:.1g} times the price of a send per check; expected a region without gaps along every axis; "
+            f"{OTHERWISE}"
         )
     return gaps
 

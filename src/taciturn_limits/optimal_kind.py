@@ -1,4 +1,4 @@
-"""Optimal send schedule for an error that a send resets, for a given price per send."""
+"""The policy kind ``optimal``: the optimal send schedule for a price per send, if a send resets the error to 0."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from taciturn_limits.bounds import solve_optimum
 
 
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
-    """Design the send schedule that minimises J + λ·rate, the cost J plus a price λ for each send.
+    """Design the send schedule that minimises J + λ·rate, where J is the cost and λ the price of a send.
 
     The rate is in sends per step or per second.
 
@@ -54,12 +54,19 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
     price = number("price", price, 0.0, LARGEST_PARAMETER)
     if getattr(plant, "exosystem", None) is not None:
         raise ProblemError(
-            "disturbances or set-points are given, which optimal does not use; expected near-optimal, or neither"
+            "disturbances or set-points are given, which the policy kind 'optimal' does not support; expected the "
+            "kind 'near-optimal', or neither disturbances nor set-points"
         )
     if getattr(plant, "jumps", None) is not None:
-        raise ProblemError("the noise consists of jumps; expected Gaussian noise for optimal, or the kind near-optimal")
+        raise ProblemError(
+            "the noise consists of jumps; expected Gaussian noise for the policy kind 'optimal', or the kind "
+            "'near-optimal'"
+        )
     if getattr(plant, "function", None) is not None:
-        raise ProblemError("the plant has a function; expected a linear plant for optimal, or the kind near-optimal")
+        raise ProblemError(
+            "the plant is nonlinear (plant.function); expected a linear plant for the policy kind 'optimal', or the "
+            "kind 'near-optimal'"
+        )
     policy = modelled(
         "optimal",
         plant,
@@ -95,7 +102,7 @@ KIND = Kind(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalPolicy(PolicyWithoutSteps):
-    """Policy with the optimal send schedule, at a given price per send, of an error that a send resets.
+    """Policy with the optimal send schedule for a price per send; each send resets the error to 0.
 
     Its boundary is computed by quadrature and is not a quadratic form, so that no node can run it.
 
@@ -124,24 +131,29 @@ class OptimalPolicy(PolicyWithoutSteps):
         self.refuse_what_is_only_simulated(self.looked_at.model)
 
     def summary(self) -> Mapping[str, object]:
-        """Return the policy's kind, its price per send, and the cost of sending every sample."""
+        """Return the policy's kind, its price per send, its plant, and the cost of sending every sample, by name."""
         plant = self.looked_at.model.short()
         return {"kind": self.kind, "price": self.price, "cost_all_time": self.cost_all_time, "plant": plant}
 
     @property
+    def sends_when(self) -> str:
+        """Clause that says when the policy sends a packet."""
+        return f"when a packet is expected to save its price of {self.price:.3g}"
+
+    @property
     def why_it_cannot_run(self) -> str:
-        """The reason why nodes cannot run the policy, and the remedy."""
+        """Reason, with a remedy, why nodes cannot run this policy; error messages quote it."""
         return (
             f"{self.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
             f"{self.instead}"
         )
 
     def measure(self, loop: Loop, request: Request, progress: Progress | None) -> Measured:
-        """Return cost and rate of the optimal schedule at the price per send."""
+        """Compute the cost and the rate of the optimal schedule at the policy's price per send."""
         if request.method not in ("auto", "exact") or request.steps is not None:
             raise ProblemError(
-                "method or steps is given, but the policy 'optimal' is solved and never simulated; expected neither of "
-                "these options, or the policy 'near-optimal'"
+                "method or steps is given, but the policy 'optimal' is computed numerically, not simulated; expected "
+                "neither of these options, or the policy 'near-optimal'"
             )
         policy, price = loop.policy, self.price
         asked = wanted_error(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)

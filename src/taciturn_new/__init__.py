@@ -1,6 +1,6 @@
-"""New problem files, from answers or from a file of matrices.
+"""New problem files, written from a user's answers to questions or from a file of matrices.
 
-``draft`` builds a problem part by part from text (``matrices``) or from a file of matrices, proposes parameters, and
-writes the file with a comment for each key. ``commands`` has the command ``new``, which asks for missing
-values.
+``commands`` has the command ``new``. ``questions`` asks, repeats and keeps answers, and ``interview`` has the questions
+in their order. ``matrices`` reads matrices and noise from text. ``draft`` builds the problem part by part and proposes
+parameters, and ``text`` writes its file with a comment for each key.
 """

@@ -1,23 +1,24 @@
-"""A problem under construction, and the text of its file, as ``taciturn new`` and scripts write it.
+"""An incomplete problem, which ``taciturn new`` or a script completes and writes as a problem file.
 
-A ``Draft`` holds the matrices that are known so far. Each new part is checked against the earlier parts by making the
-plant and the cost as far as they are known: an unknown noise covariance is 0, and an unknown weight R is the identity.
+A ``Draft`` holds the matrices and tables that are known so far. Each new matrix is checked against the earlier ones by
+making the plant and the cost as far as they are known: an unknown noise covariance is 0, and an unknown weight R is the
+identity. The text of the file (``text``) is read back, and its policy is designed, before it is written.
+
+Whether a policy kind fits is known from a quick check of plant and cost, which the record of the kind has. If the
+problem has links with losses, nodes, disturbances, set-points or limits, the kind is designed for it as a check.
 
 A required parameter may have a suggested value (``suggest_value``): a usual one, or one digit computed from plant
 and cost. A period is a fifth of the fastest time constant of the controlled plant, and the price of a send is a fifth
 of the cost of a step with every sample.
-
-The text (``problem_text``) has every key below a comment that describes it, and optional keys as comments. It is read
-back, and its policy is designed, before it is written.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from textwrap import wrap
-from typing import Any, cast
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,22 +26,22 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind, Setting
 from taciturn.design.kinds.all_time import all_time
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.extend import Array, ArrayLike, Displayed, is_definite, pace, radius
+from taciturn.extend import Array, ArrayLike, Displayed, is_definite, number_of, pace, radius
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.controller import PID
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import Problem, load, parse
-from taciturn.problem.parameters import find_kind
-from taciturn.problem.schema import ControllerKeys, CostKeys, PlantKeys, keys_of
-from taciturn_new.matrices import exact_number_text, matrix_text, parse_matrix, square_matrix
+from taciturn.problem.read import locate_functions
+from taciturn_new.matrices import parse_matrix, square_matrix
+from taciturn_new.text import problem_text
 
 LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
 SHARE = 0.2  # suggested price of a send, relative to the cost of a step with every sample
 
 
 def needed_parameters(kind: Kind, continuous: bool) -> tuple[str, ...]:
-    """Return the required parameters of a policy kind for a discrete or continuous plant."""
+    """Return the required parameters of a policy kind for a plant in discrete or in continuous time."""
     required = [name for name, one in kind.parameters.items() if one.default is one.empty]
     period = ["period"] if "period" in kind.parameters and (continuous or "period" in required) else []
     needed = (*period, *(name for name in required if name != "period"))
@@ -50,7 +51,7 @@ def needed_parameters(kind: Kind, continuous: bool) -> tuple[str, ...]:
 
 
 def offered_kinds() -> tuple[list[Kind], list[str]]:
-    """Return the kinds that ``taciturn new`` offers by their goals, in order, and why others cannot be offered."""
+    """Return the policy kinds that ``taciturn new`` offers, by goal, and the errors of kinds that cannot be loaded."""
     found: list[tuple[int, Kind]] = []
     wrong: list[str] = []
     for name in CATALOGUE:
@@ -63,15 +64,10 @@ def offered_kinds() -> tuple[list[Kind], list[str]]:
     return [kind for _, kind in sorted(found, key=lambda one: (one[0], one[1].name))], wrong
 
 
-def over_losses() -> list[Kind]:
-    """Return the offered kinds for links that drop packets."""
-    return [kind for kind in offered_kinds()[0] if kind.for_dropouts]
-
-
 def suggest_value(
     kind: Kind, name: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None
 ) -> Setting | None:
-    """Return a suggested value: a usual value, or one digit computed from plant and cost; None if there is none."""
+    """Suggest a parameter value: a usual one, or one computed from plant and cost; None if there is no suggestion."""
     if name in kind.usual:
         return kind.usual[name]
     try:
@@ -95,114 +91,10 @@ def _digit(value: float) -> float:
 
 
 def example_of(kind: Kind) -> Problem:
-    """Return the example of a policy kind: a built-in problem with this kind and the parameters of the example."""
+    """Return an example of a policy kind: a built-in problem with this kind and its example parameters."""
     problem = load(kind.built_in)
     removed: dict[str, Any] = dict.fromkeys(problem.parameters)
     return problem.changed({**removed, "kind": kind.name, **kind.example})
-
-
-WIDTH = 98  # characters of a comment line
-# what the notes of keys say of the time base
-CONTINUOUS = {"per": "per second", "noise": "intensity per second", "moved": "the derivative of the state"}
-DISCRETE = {"per": "per step", "noise": "covariance per step", "moved": "the next state"}
-
-
-def problem_text(tables: Mapping[str, Any], name: str) -> str:
-    """Return a problem file with its comments."""
-    plant, policy = tables["plant"], tables["policy"]
-    kind = find_kind(policy["kind"], "the kind")
-    continuous = "dt" not in plant
-    words = CONTINUOUS if continuous else DISCRETE
-    rule = f"{'E ' if 'E' in plant else ''}{'dx/dt' if continuous else 'x⁺'} = A x + B u + w"
-    fed = " + D u, u of the step before" if "D" in plant else ""
-    measured = f",  y = C x + v{fed}" if "C" in plant else ",  y = x: the full state is measured"
-    sizes = (len(plant["A"]), len(plant["B"][0]))
-    states, inputs = (
-        f"{count} {word}{'s' * (count > 1)}" for count, word in zip(sizes, ("state", "input"), strict=True)
-    )
-    lines = [
-        f"# A problem of event-triggered control: {states}, {inputs}. Units of time are seconds.",
-        f"#   taciturn show {name}",
-        f"#   taciturn evaluate {name}",
-        "",
-        f"# {rule}{measured}",
-        "[plant]",
-    ]
-    notes = _notes(PlantKeys, words)
-    lines += _table(plant, notes)
-    lines += _offered({"input_limit": ("[…]", notes["input_limit"])})
-    cross = " + 2 x'Nu" if "N" in tables["cost"] else ""
-    lines += ["", f"# x'Qx + u'Ru{cross} {words['per']}", "[cost]"]
-    notes = _notes(CostKeys, words)
-    lines += _table(tables["cost"], notes)
-    if "controller" in tables and "Q" in tables["cost"]:
-        lines += _offered(
-            {"weights": ('"as the controller"', "in place of Q and R: equal weight for present variances")}
-        )
-    if "horizon" in kind.costs:
-        lines += _offered({"horizon": ("60", notes["horizon"])})
-    if "network" in tables:
-        lines += ["", "# the links between sensor, controller and actuator", "[network]"]
-        about = {
-            "protocol": '"udp": dropouts without acknowledgement; "tcp": with acknowledgement; "ideal": no dropouts',
-            "actuator_loss": "probability that a packet to the actuator is lost",
-            "sensor_loss": "probability that a measurement is lost",
-            "delay": "steps from a measurement to the input that uses it: 0 or 1",
-        }
-        lines += _table(tables["network"], about)
-    if "controller" in tables:
-        lines += ["", "# the controller to keep: u = −K y", "[controller]"]
-        notes = _notes(ControllerKeys, words)
-        lines += _table(tables["controller"], notes)
-        lines += _offered({"disturbance": ('"none"', notes["disturbance"])})
-    lines += ["", *_comment(kind.about), "[policy]"]
-    lines += _table(policy, kind.notes)
-    lines += _offered(_optional(kind, policy, continuous))
-    return "\n".join(lines) + "\n"
-
-
-def _notes(table: Any, words: Mapping[str, str]) -> dict[str, str]:
-    """Return the notes on the keys of a table, which are metadata of their fields."""
-    return {name: key.note.format(**words) for name, key in keys_of(table).items()}
-
-
-def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:
-    """Return the lines of a table, with each key below a comment that describes it."""
-    lines: list[str] = []
-    for key, value in table.items():
-        lines += [*_comment(about.get(key, "")), f"{key} = {_value(value)}"]
-    return lines
-
-
-def _offered(keys: Mapping[str, tuple[str, str]]) -> list[str]:
-    """Return optional keys that are not set, as comments."""
-    return [line for key, (value, note) in keys.items() for line in [*_comment(note), f"# {key} = {value}"]]
-
-
-def _optional(kind: Kind, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
-    """Return the optional parameters of a policy kind, with placeholders."""
-    found: dict[str, tuple[str, str]] = {}
-    for name, parameter in kind.parameters.items():
-        if name not in given and (name != "period" or continuous):
-            default: Any = parameter.default
-            shown = "…" if default is None or default is parameter.empty else _value(default)
-            found[name] = (shown, kind.notes.get(name, ""))
-    return found
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool | str):
-        return f'"{value}"' if isinstance(value, str) else str(value).lower()
-    if isinstance(value, Mapping):
-        entries = ", ".join(f"{key} = {_value(one)}" for key, one in cast("Mapping[str, object]", value).items())
-        return f"{{{entries}}}"
-    if isinstance(value, int | float):
-        return exact_number_text(value)
-    return matrix_text(np.asarray(value))
-
-
-def _comment(text: str) -> list[str]:
-    return [f"# {line}" for line in wrap(text, WIDTH)]
 
 
 COST = ("Q", "R", "N")
@@ -211,28 +103,34 @@ BY_CONTROLLER = {"weights": "as the controller"}
 
 @dataclass(repr=False)
 class Draft(Displayed):
-    """A partly specified problem: the known matrices of a plant and a cost, a network and a controller."""
+    """An incomplete problem: the matrices of plant and cost that are given so far, and other tables of the file."""
 
     dt: float = 0.0  # seconds per step; 0 for a continuous-time plant
-    # matrices A, B, E, C, D, V, W by name, in the order in which they were stored
+    # matrices A, B, E, C, D, V, W by name, in the order in which they were stored, and the limits of the inputs
     plant: dict[str, Array] = field(default_factory=lambda: {})
     cost: dict[str, Array] = field(default_factory=lambda: {})  # matrices Q, R, N by name
     network: dict[str, Any] = field(default_factory=lambda: {})  # values of the keys of ``[network]``
+    nodes: dict[str, dict[str, Any]] = field(default_factory=lambda: {})  # those of ``[nodes.NAME]``
+    links: dict[str, dict[str, Any]] = field(default_factory=lambda: {})  # those of ``[links.NAME]``
     controller: dict[str, Any] = field(default_factory=lambda: {})  # values of the keys of ``[controller]``
+    disturbance: list[dict[str, Any]] = field(default_factory=lambda: [])  # those of each ``[[disturbance]]``
+    reference: dict[str, Any] = field(default_factory=lambda: {})
+    limits: dict[str, Any] = field(default_factory=lambda: {})
+    operating_point: dict[str, Array] = field(default_factory=lambda: {})  # x and u from which A and B count; or 0
 
     @property
     def continuous(self) -> bool:
-        """True if the plant is continuous in time."""
+        """Whether the plant is a model in continuous time."""
         return self.dt == 0
 
     @property
     def counts(self) -> tuple[int, int]:
-        """The numbers of inputs and outputs of the plant."""
+        """Numbers of inputs and of outputs of the plant."""
         plant = self.made_plant()
         return plant.inputs, len(plant.C)
 
     def keep(self, key: str, value: ArrayLike) -> None:
-        """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal."""
+        """Store a matrix if its size is correct; a weight or covariance may be a number or a diagonal."""
         sizes = {} if "B" not in self.plant else self._sizes()
         fitting = square_matrix(key, value, sizes[key]) if key in sizes else np.asarray(value)
         if key in COST:
@@ -243,64 +141,145 @@ class Draft(Displayed):
             self.plant[key] = fitting
 
     def measure_all(self) -> None:
-        """Set C to the identity, so that every state is measured; the measurement noise is stored separately."""
+        """Set C to the identity matrix, so that every state is measured, and keep the measurement noise."""
         self.plant["C"] = np.eye(len(self.plant["A"]))
 
     def drop(self, key: str) -> None:
-        """Remove a matrix of the plant."""
+        """Remove a matrix of the plant from the draft."""
         self.plant.pop(key, None)
 
+    def clear_parts(self) -> None:
+        """Remove the network, the disturbances, the set-points and the limits from the draft."""
+        tables = self.network, self.nodes, self.links, self.disturbance, self.reference, self.limits
+        for table in (*tables, self.operating_point):
+            table.clear()
+        self.plant.pop("input_limit", None)
+
     def made_plant(self) -> Plant | ContinuousPlant:
-        """Return the plant as far as it is known; unknown noise is zero."""
+        """Return the plant with the matrices given so far; a missing noise covariance is zero."""
         return self._plant(self.plant)
 
     def made_cost(self) -> Cost:
-        """Return the cost as far as it is known; an unknown weight R is the identity."""
+        """Return the cost with the weights given so far; a missing weight R is the identity matrix."""
         return self._cost(self.cost)
 
-    def keep_pid(self, text: str) -> None:
-        """Store a PID controller from the text of its gains, ``kp``, ``kp ki`` or ``kp ki kd filter``."""
-        inputs, outputs = self.counts
-        if (inputs, outputs) != (1, 1):
-            raise ProblemError(
-                f"the plant has {inputs} inputs and {outputs} outputs; expected one of each, or [controller] in the "
-                "file with one PID controller per input"
-            )
+    def keep_pid(self, text: str, place: Mapping[str, int] | None = None) -> None:
+        """Store a PID controller, given as the text of its gains: ``kp``, ``kp ki`` or ``kp ki kd filter``.
+
+        ``place`` contains the numbers of the controller's input and output, if there are several controllers.
+        """
         gains = parse_matrix("the controller", text.replace(",", " ")).ravel().tolist()
         if len(gains) not in (1, 2, 4):
             raise ProblemError(
-                f"the controller has {len(gains)} numbers; expected kp, or kp ki, or kp ki kd and the filter's time "
-                "constant"
+                f"the controller has {number_of(len(gains), 'number')}; expected kp, or kp ki, or kp ki kd and the "
+                "filter's time constant"
             )
-        self.controller["pid"] = dict(zip(("kp", "ki", "kd", "filter"), gains, strict=False))
-        PID(**self.controller["pid"])
+        named = dict(zip(("kp", "ki", "kd", "filter"), gains, strict=False))
+        PID(**named)
+        self.controller["pid"] = [*self.controller.get("pid", ()), {**place, **named}] if place else named
+
+    @property
+    def remote(self) -> list[str]:
+        """The nodes that are separate from the controller; among the default nodes, sensor and actuator."""
+        if not self.nodes:
+            return ["actuator", "sensor"]
+        return [name for name, role in self.nodes.items() if not role.get("controls") and "site" not in role]
+
+    @property
+    def remote_sensors(self) -> bool:
+        """Whether at least one node that measures is separate from the controller."""
+        return any("measures" in self.nodes.get(name, {}) for name in self.remote)
+
+    @property
+    def loses(self) -> bool:
+        """Whether links drop packets."""
+        keys = [key for law in (self.network, *self.links.values()) for key in law]
+        return any(key.endswith("loss") for key in keys)
 
     def fits(self, kind: Kind) -> bool:
-        """Return whether a policy kind accepts this plant and cost, according to a quick check."""
+        """Return whether a policy kind accepts this problem."""
+        return self.refusal(kind) is None
+
+    def refusal(self, kind: Kind) -> ProblemError | None:
+        """Return the error that a policy kind raises for this problem; None if the kind accepts the problem."""
         try:
+            if kind.nodes == "any" and not self.nodes:
+                raise ProblemError(
+                    f"the policy kind {kind.name!r} is for networks with named nodes; expected at least one wireless "
+                    "sensor or actuator"
+                )
             self.expect_fit(kind)
-        except ProblemError:
-            return False
-        return True
+            if self._extended:
+                self._designed(self.completed(kind, self._usual(kind)))
+        except TaciturnError as error:
+            return ProblemError(str(error).removeprefix(": "))  # of a problem without a name
+        return None
+
+    def takes_input_limits(self) -> bool:
+        """Return whether a policy accepts input limits, judged by the parts that are given so far."""
+        limited = replace(self, plant={**self.plant, "input_limit": np.tile([-1.0, 1.0], (self.counts[0], 1))})
+        return any(limited.fits(kind) for kind in offered_kinds()[0])
 
     def expect_fit(self, kind: Kind) -> None:
-        """Reject a policy kind that does not accept this plant and cost, according to a quick check."""
+        """Raise an error if a quick check shows that a policy kind cannot control this plant with this cost."""
         if self.controller and not kind.keeps_controller:
-            raise ProblemError(f"{kind.name} keeps no controller; expected another kind, such as excess")
+            raise ProblemError(
+                f"the policy kind {kind.name!r} cannot use a controller of your own; expected another kind, such as "
+                "'excess'"
+            )
         if kind.check is not None:
             kind.check(self.made_plant(), self.made_cost())
 
-    def write(self, policy: Mapping[str, Any], name: str) -> str:
-        """Return the text of a problem file, after reading it back and designing its policy as a check."""
-        step = {} if self.continuous else {"dt": self.dt}
-        tables: dict[str, Any] = {"plant": {**step, **self.plant}, "cost": self.cost or BY_CONTROLLER, "policy": policy}
-        if self.network:
-            tables["network"] = self.network
-        if self.controller:
-            tables["controller"] = self.controller
-        text = problem_text(tables, name)
-        parse(tomllib.loads(text), name).designed()
+    def completed(self, kind: Kind, policy: Mapping[str, Any]) -> dict[str, Any]:
+        """Return all parameters of a policy, with usual values for those that ``taciturn new`` does not ask for."""
+        given = {"kind": kind.name, **policy}
+        if "link" in kind.parameters and self.nodes and all("measures" in self.nodes[name] for name in self.remote):
+            given["link"] = "sensor"
+        asked = (*needed_parameters(kind, self.continuous), *kind.asked)
+        usual = given | {name: value for name, value in kind.usual.items() if name not in asked}
+        if not self._extended and not self.controller:
+            return usual
+        try:
+            self._designed(usual)
+        except TaciturnError:  # usual values are for problems without further parts
+            return given
+        return usual
+
+    def write(self, policy: Mapping[str, Any], path: Path) -> str:
+        """Return the text of the problem file, after a test that it can be read and its policy can be designed."""
+        text = problem_text(self._tables(policy), path.name)
+        parse(locate_functions(tomllib.loads(text), path.parent), path.name).designed()
         return text
+
+    @property
+    def _extended(self) -> bool:
+        """Whether the problem has more than a plant, a cost and a controller on ideal links of the usual nodes."""
+        tables = self.network, self.nodes, self.disturbance, self.reference, self.limits
+        return any(tables) or "input_limit" in self.plant
+
+    def _tables(self, policy: Mapping[str, Any]) -> dict[str, Any]:
+        step = {} if self.continuous else {"dt": self.dt}
+        plant: dict[str, Any] = {**step, **self.plant}
+        if self.operating_point:
+            plant["operating_point"] = self.operating_point
+        tables: dict[str, Any] = {"plant": plant, "cost": self.cost or BY_CONTROLLER, "policy": policy}
+        for name in ("network", "nodes", "links", "controller", "disturbance", "reference", "limits"):
+            if value := getattr(self, name):
+                tables[name] = value
+        return tables
+
+    def _designed(self, policy: Mapping[str, Any]) -> None:
+        """Design a policy for the problem, to see whether that fails."""
+        parse(tomllib.loads(problem_text(self._tables(policy), "")), "").designed()
+
+    def _usual(self, kind: Kind) -> dict[str, Any]:
+        """Return values of the parameters that ``new`` asks for: suggested ones, or those of the kind's example."""
+        policy: dict[str, Any] = {}
+        plant, cost = self.made_plant(), self.made_cost()
+        for name in needed_parameters(kind, self.continuous):
+            found = suggest_value(kind, name, plant, cost, policy.get("period"))
+            policy[name] = kind.example.get(name, 1.0) if found is None else found
+        return policy
 
     def _sizes(self) -> dict[str, int]:
         """Return the number of rows of each square matrix by name."""

@@ -1,6 +1,8 @@
-"""Text to matrices and back, in MATLAB's notation or as a Python list.
+"""Conversion of matrices from and to text, in MATLAB's notation or as Python lists.
 
-A square matrix may be one number or a diagonal, and noise may be given by its amplitudes, the standard deviations.
+A covariance and a weight have two forms. Numbers without brackets are sizes in the units of the signals: standard
+deviations of noise, or acceptable deviations of outputs and inputs, of which the weight is 1/size². Brackets hold the
+matrix itself, or its diagonal.
 """
 
 from __future__ import annotations
@@ -12,14 +14,15 @@ import re
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, ArrayLike, array, expect_unmasked, quoted
+from taciturn.extend import Array, ArrayLike, array, expect_unmasked, number_of, quoted
 
 FORMS = "[1 2; 3 4] or [[1, 2], [3, 4]]"
+DIGITS = 12  # of a square, which rounding does not reach
 LONGEST = 100  # characters of a matrix that is printed on one line
 
 
 def parse_matrix(name: str, text: str) -> Array:
-    """Return the matrix that is written in a text."""
+    """Convert a text in MATLAB's or Python's notation to a matrix."""
     given = text.strip()
     try:
         rows: object = ast.literal_eval(given) if re.match(r"\[\s*\[", given) else _matlab_rows(given)
@@ -27,7 +30,7 @@ def parse_matrix(name: str, text: str) -> Array:
     except ProblemError:
         raise
     except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError):
-        raise ProblemError(f"{name} is {quoted(given)}; expected a number, or a matrix as {FORMS}") from None
+        raise ProblemError(f"{name} is {quoted(given)}; expected a number, or a matrix in the form {FORMS}") from None
 
 
 def _matlab_rows(text: str) -> list[list[float]]:
@@ -46,30 +49,58 @@ def _matlab_rows(text: str) -> list[list[float]]:
     return rows
 
 
-def parse_noise(name: str, text: str, B: Array) -> Array:
-    """Return the covariance of noise that is written as a matrix, or by amplitudes in units: standard deviations."""
-    place, sign, amplitudes = text.replace("+-", "±").partition("±")
-    if not sign:
+def parse_numbers(name: str, text: str, size: int, each: str) -> Array:
+    """Convert numbers in a text without brackets to an array, shape (size,); a single number fills all entries."""
+    found = parse_matrix(name, text.replace("\n", " ").replace(";", " ")).ravel()
+    if found.size not in (1, size):
+        expected = "one number" if size == 1 else f"one number, or {size}, one for each {each}"
+        raise ProblemError(f"{name} has {number_of(found.size, 'number')}; expected {expected}")
+    return np.broadcast_to(found, size)
+
+
+def parse_noise(name: str, text: str, size: int, each: str) -> Array:
+    """Convert standard deviations, or a covariance in brackets (a matrix or its diagonal), to a covariance matrix."""
+    typed = text.replace("+-", " ").replace("±", " ").strip()
+    if typed.startswith("["):
+        return parse_matrix(name, typed)
+    deviations = parse_numbers(f"the standard deviation of {name}", typed, size, each)
+    if (deviations < 0).any():
+        raise ProblemError(f"the standard deviation of {name} is {deviations.min():g}; expected at least 0")
+    return np.diag([float(f"{one**2:.{DIGITS}g}") for one in deviations])
+
+
+def parse_input_noise(text: str, B: Array) -> Array | None:
+    """Return the noise covariance for a text such as ``inputs 0.3`` (noise at the inputs); None for other texts."""
+    place, _, rest = text.strip().partition(" ")
+    if place.lower() not in ("input", "inputs"):
+        return None
+    return B @ parse_noise("W", rest, B.shape[1], "input") @ B.T
+
+
+def parse_weight(name: str, text: str, seen: Array, each: str) -> Array:
+    """Convert acceptable signal sizes, or a weight in brackets, to the weighting matrix of the signals ``seen`` @ z."""
+    if text.startswith("["):
         return parse_matrix(name, text)
-    if not amplitudes.strip():
-        raise ProblemError(f"{name} has no deviation after ±; expected numbers, such as ± 0.1 0.2")
-    deviations = parse_matrix(f"the vector of deviations of {name}", amplitudes)
-    at_inputs = place.strip().lower() in ("input", "inputs")
-    if (place.strip() and not at_inputs) or (at_inputs and name != "W"):
-        raise ProblemError(f"{name} is {quoted(text)}; expected a matrix, ± 0.1 0.2, or for W also inputs ± 0.3")
-    if (deviations < 0).any() or 1 not in deviations.shape:
-        raise ProblemError(f"the deviations of {name} are {quoted(amplitudes)}; expected numbers of at least 0")
-    each = deviations.ravel()
-    if not at_inputs:
-        return each[None] ** 2
-    if each.size not in (1, B.shape[1]):
-        expected = "one" if B.shape[1] == 1 else f"one, or {B.shape[1]}"
-        raise ProblemError(f"{name} has {each.size} deviations at inputs; expected {expected}")
-    return (B * each) @ (B * each).T
+    sizes = parse_numbers(f"the size for {name}", text, len(seen), each)
+    if (sizes <= 0).any():
+        raise ProblemError(f"the acceptable size of {name} is {sizes.min():g}; expected more than 0")
+    return seen.T @ np.diag([float(f"{one**-2:.{DIGITS}g}") for one in sizes]) @ seen
+
+
+def parse_indices(name: str, text: str, size: int) -> list[int]:
+    """Convert the numbers of signals, counted from 1, to indices, counted from 0."""
+    words = re.split(r"[\s,]+", text.strip(" ,"))
+    for word in words:
+        if not word.isdecimal() or not 1 <= int(word) <= size:
+            raise ProblemError(f"{name} is {quoted(text)}; expected numbers from 1 to {size}, such as 1")
+    found = [int(word) - 1 for word in words]
+    if len(set(found)) < len(found):
+        raise ProblemError(f"{name} is {quoted(text)}; expected a list that contains each number only once")
+    return found
 
 
 def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
-    """Return a weight or covariance: a number times the identity, a vector as a diagonal, or a matrix unchanged."""
+    """Return a weight or covariance as a full matrix, given as a number, as the diagonal, or in full."""
     expect_unmasked(name, value)
     found = array(name, np.atleast_2d(np.asarray(value)), (None, None), "(rows, columns)")
     if found.size == 1:
@@ -79,19 +110,26 @@ def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
     if found.shape != (size, size):
         rows, columns = found.shape
         raise ProblemError(
-            f"{name} is {rows}×{columns}; expected one number, {size} for a diagonal, or a matrix {size}×{size}"
+            f"{name} is a matrix of size {rows}×{columns}; expected one number, {size} numbers for a diagonal matrix, "
+            f"or a {size}×{size} matrix"
         )
     return found
 
 
-def matrix_text(value: ArrayLike) -> str:
-    """Return a matrix in TOML notation, on one line or, if this line is too long, row by row."""
-    rows = [f"[{', '.join(exact_number_text(entry) for entry in row)}]" for row in np.atleast_2d(np.asarray(value))]
-    line = f"[{', '.join(rows)}]"
-    return line if len(line) <= LONGEST else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
+def rows_text(value: ArrayLike) -> str:
+    """Format a matrix or vector for TOML: on one line if it fits, otherwise with one row per line."""
+    given = np.asarray(value)
+    rows = [list_text(row) for row in np.atleast_2d(given)]
+    line = rows[0] if given.ndim == 1 else f"[{', '.join(rows)}]"
+    return line if len(line) <= LONGEST or given.ndim == 1 else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
+
+
+def list_text(row: ArrayLike) -> str:
+    """Format a vector for TOML."""
+    return f"[{', '.join(exact_number_text(entry) for entry in np.asarray(row))}]"
 
 
 def exact_number_text(value: float) -> str:
-    """Return a number in TOML notation with full precision; an integer is written without a decimal point."""
+    """Format a number for TOML with all its digits; a whole number has no decimal point."""
     exact = float(value)
     return str(int(exact)) if math.isfinite(exact) and exact == int(exact) and abs(exact) < 1e15 else repr(exact)

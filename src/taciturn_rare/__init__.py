@@ -1,4 +1,4 @@
-"""Probabilities of rare violations: how often a loop exceeds limits of its states.
+"""Probabilities of rare violations, that is, how often the state of a loop leaves its limits.
 
 ``violations`` estimates the probabilities of a loop, and ``splitting`` simulates its paths with copies of those that
 come near a limit.

@@ -1,4 +1,4 @@
-"""Simulation of a loop with copies of the paths that rise towards a limit: importance splitting (RESTART).
+"""Simulation of a loop by importance splitting (RESTART): paths are copied when they approach a limit.
 
 The level of a path is the number of thresholds that its height exceeds. A path that rises by a level is replaced by
 four paths with a quarter of its weight each, which continue with random numbers of their own. All but the first end
@@ -28,7 +28,7 @@ _Whole = npt.NDArray[np.int64]
 
 
 class Splitting:
-    """Paths of a loop with their copies, advanced step by step."""
+    """Simulated paths of a loop, including the copies that importance splitting makes of them."""
 
     def __init__(
         self, program: Program, run: Runner, states: Array, seed: int, height: Callable[[Array], Array]
@@ -45,7 +45,7 @@ class Splitting:
         self.restart(states)
 
     def restart(self, states: Array) -> None:
-        """Replace all paths by original paths with given states."""
+        """Discard all paths, and start new original paths from the given initial states."""
         self.states = states
         self.root: _Whole = np.arange(self.originals, dtype=np.int64)
         self._level, self._first = (np.zeros(self.originals, dtype=np.int64) for _ in range(2))
@@ -55,47 +55,47 @@ class Splitting:
 
     @property
     def x(self) -> Array:
-        """The states of the plant, (n, paths)."""
+        """The states of the plant on each path, shape (n, paths)."""
         return self.states[self._x]
 
     @property
     def weight(self) -> Array:
-        """The weight of each path, (paths,)."""
+        """The statistical weight of each path, shape (paths,); each threshold that a path has passed reduces it."""
         return np.power(float(COPIES), -self._level.astype(np.float64))
 
     @property
     def top(self) -> Array:
-        """The heights of the paths above all thresholds."""
+        """Heights of those paths that are above all thresholds; the height says how close a path is to a limit."""
         return self.heights[self._level == len(self.thresholds)]
 
     @property
     def near(self) -> float:
-        """The weighted share of the paths above all thresholds."""
+        """Fraction of the paths above all thresholds, weighted by the paths' statistical weights."""
         return float(COPIES) ** -len(self.thresholds) * len(self.top) / self.originals
 
     @property
     def original(self) -> Bits:
-        """Mask of the paths that are no copies, (paths,)."""
+        """Whether each path is an original, not a copy, shape (paths,)."""
         return np.asarray(self._first == 0, dtype=np.bool_)
 
     def mark(self, events: int) -> None:
-        """Give each path a mark for each of so many events, none of which is set; copies inherit the marks."""
+        """Give each path one flag per event, which is false at first; copies of a path inherit its flags."""
         self.marks = np.zeros((events, self.states.shape[1]), dtype=np.bool_)
 
     def step(self) -> None:
-        """Advance all paths by one step, and copy or end those that change their level."""
+        """Simulate one step of all paths; copy paths that rise above a threshold, and end copies that fall below."""
         self.steps += self.states.shape[1]
         self.states = self._run(self.states, 1, None).states
         self.heights = self._height(self.x)
         self._branch()
 
     def add(self, threshold: float) -> None:
-        """Add a threshold above all others, and copy the paths above it."""
+        """Add a threshold above all present ones, and copy the paths above it."""
         self.thresholds = np.append(self.thresholds, threshold)
         self._branch()
 
     def sums(self, values: Bits) -> Array:
-        """Return the weight of the paths of a mask, (paths,), summed over each original path and its copies."""
+        """Return, for each original path and its copies, the total weight of the paths for which ``values`` is true."""
         return np.asarray(np.bincount(self.root, self.weight * values, self.originals), dtype=np.float64)
 
     def _branch(self) -> None:

@@ -1,4 +1,4 @@
-"""Probabilities that a loop violates limits of its states, by simulation with copies of the paths that come near them.
+"""Probabilities that a loop's states violate limits, by a simulation that copies paths close to the limits.
 
 In stationary operation, the probability per step is the share of the steps in which a limit is violated. The
 probability within a window is that of at least one violation in the window, such as an hour. A window is simulated if
@@ -28,7 +28,7 @@ from taciturn.model.limits import Limits, Violation, Violations
 from taciturn.program.draws import GENERATOR
 from taciturn.simulation.average import check_effort, plain_average
 from taciturn.simulation.reliability import escapes, expect_arrivals, wandering_noise
-from taciturn.simulation.sampling import HUGE, Estimator, Part, Sampling, sends
+from taciturn.simulation.sampling import HUGE, Estimator, Part, Sampling, counts
 from taciturn_rare.splitting import COPIES, Splitting
 
 _MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
@@ -55,7 +55,7 @@ def violations(
     steps: int | None = None,
     progress: Progress | None = None,
 ) -> Violations:
-    """Estimate the probabilities that a loop violates limits of its states, after its steps.
+    """Estimate the probabilities that the states of a loop violate limits, which are checked after each step.
 
     If violations are rare, paths that come near a limit are copied, once for all limits together and
     once for each limit that then has too few violations. Limits of a continuous plant apply at the sampling instants. A
@@ -116,11 +116,11 @@ class _Search:
         self.limits, self.horizon = limits, loop.problem.cost.horizon
         if loop.problem.cost.discount < 1:
             raise ProblemError(
-                "limits are given with cost.discount, and the weights of a discounted sum are not a share of time; "
-                "expected an average cost or a horizon"
+                "limits are given with cost.discount, but the weights of a discounted sum do not measure a share of "
+                "the time; expected an average cost or a horizon"
             )
         average = plain_average(loop)
-        program = loop.program().keep({COST, *sends(loop)}, states={"x"})
+        program = loop.program().keep({COST, *counts(loop)}, states={"x"})
         self.part = Part(loop, Estimator(program, None, COST, average.offset, average.scale))
         self.program, self.sampling = program, Sampling([self.part], seed, progress, None)
         self.run, self.fresh = self.sampling.runs[0], 0
@@ -134,7 +134,7 @@ class _Search:
 
     @property
     def window(self) -> str:
-        """The window in which violations are counted."""
+        """Time window in which violations are counted: a run, an hour, or a number of steps."""
         if self.horizon is not None:
             return "run"
         return f"{_MANY} steps" if self.loop.problem.plant.dt is None else "hour"
@@ -148,11 +148,11 @@ class _Search:
         return _MANY if step is None else max(1, round(_HOUR / step))
 
     def precise(self, found: Estimate) -> bool:
-        """Return whether a probability has the requested standard error."""
+        """Return whether an estimated probability has the requested standard error."""
         return 0 < found.standard_error <= self.accuracy * found.value
 
     def measured(self, picked: Sequence[int], begun: float) -> list[Violation]:
-        """Return the probability of each limit and of all, with copies near the picked limits."""
+        """Estimate how probable a violation of each limit is, and a violation of at least one limit."""
         split = Splitting(
             self.program, self.run, self.settled, self.seed, lambda x: self._excess(x)[picked].max(axis=0)
         )
@@ -199,7 +199,7 @@ class _Search:
         """Advance all paths by one step, and count the violations and the first violations of each path."""
         split.step()
         if not np.abs(split.heights).max() < HUGE:  # also if it is NaN
-            raise self.part.diverges("a state exceeded the range of the numbers")
+            raise self.part.diverges("a state exceeded the range of double precision")
         over = self._excess(split.x) > 0
         events = np.concatenate([over, over.any(axis=0, keepdims=True)])
         for i in np.flatnonzero(events.any(axis=1)):
@@ -244,7 +244,7 @@ class _Search:
         return Estimate(0.0 - float(np.expm1(logarithm)), max(kept * spread, least), "simulation")
 
     def _excess(self, x: Array) -> Array:
-        """Return how far each combination exceeds its limits, in its standard deviations; negative within them."""
+        """Return the excess of each combination over its limits, in standard deviations; negative within the limits."""
         z, high, low = self.rows @ x + self.offset, self.limits.high[:, None], self.limits.low[:, None]
         return np.maximum(z - high, low - z) / self.deviation
 

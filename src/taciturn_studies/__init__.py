@@ -1,6 +1,6 @@
-"""Studies that evaluate a problem many times: trade-offs, tuning, comparisons.
+"""Studies that evaluate a problem many times: trade-offs, tuning, and comparisons of policies.
 
-1. ``tradeoff``: cost against rate over a grid of parameters.
+1. ``tradeoff``: cost against rate over a grid of parameters, with ``tradeoff_figure``.
 2. ``tune``, with ``goal`` (budgets), ``search`` (one parameter) and ``shares`` (of several links).
 3. ``compare``: several policies at the same rate or traffic, with ``periodic_links``, the exact cost of periodic
    control over several links.

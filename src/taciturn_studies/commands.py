@@ -10,17 +10,19 @@ import typer
 
 from taciturn.cli.frame import (
     EXAMPLE,
+    OVER,
     Confidence,
     File,
     GivenSeed,
     Json,
     Link,
     NoFunctions,
-    Over,
+    PictureStyle,
     Plot,
     Settings,
     StandardError,
     TimeLimit,
+    Verbose,
     Workers,
     app,
     complete_file,
@@ -36,29 +38,36 @@ from taciturn.cli.frame import (
 @app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
 def tradeoff(
     file: File,
-    over: Over,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=v1,v2,…", help=f"{OVER} Default: the parameter of the policy, around its value."),
+    ] = None,
     settings: Settings = None,
     no_functions: NoFunctions = False,
     as_json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
+    style: PictureStyle = None,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     confidence: Confidence = None,
     store: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for the results, so that an interrupted run can continue."),
+        typer.Option(
+            metavar="DIR", help="Folder in which results are stored, so that an interrupted run can continue."
+        ),
     ] = None,
     workers: Workers = 1,
     time: TimeLimit = None,
 ) -> None:
-    """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
+    """Compute cost and rate of a policy for several parameter values, with periodic control and the guarantee."""
     import taciturn
     from taciturn.extend import answered_within
     from taciturn.problem.settings import parse_grid
     from taciturn.study.evaluate import choose_confidence
     from taciturn_studies.workers import processes
 
-    values = parse_grid(over)
+    values = parse_grid(over) if over else None
     with answered_within(time):
         problem = load_changed(file, settings, no_functions)
         with progress_bar("computing") as progress, processes(workers) as executor:
@@ -73,8 +82,8 @@ def tradeoff(
                 progress=progress,
             )
     drawn = any(point.evaluation.drawn for point in found.points)
-    print_result(found, as_json, problem, seed or 0, unused=None if drawn else seed)
-    save_picture(found, plot, as_json, problem, seed or 0, found.method)
+    print_result(found, as_json, verbose, problem, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, style, as_json, problem, seed or 0, found.method)
     missed = [point for point in found.points if not point.evaluation.reached]
     if missed:
         values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
@@ -89,26 +98,38 @@ def compare(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE FILE…", help="Problem files that differ in their policies.", autocompletion=complete_file
+            metavar="FILE FILE…", help="Problem files with the policies to compare.", autocompletion=complete_file
         ),
     ],
-    rate: Annotated[float | None, typer.Option(help="Common rate: sends per step or per second.")] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Rate at which the policies are compared, in packets per step or per second. Default: the rate of "
+            "the first policy."
+        ),
+    ] = None,
     traffic: Annotated[
         float | None,
-        typer.Option(help="Instead, the common sum of all rates, each times the price of a packet on its link."),
+        typer.Option(
+            help="Traffic at which the policies are compared, in place of --rate: the sum of the rates of all "
+            "links, each multiplied by the price of a packet."
+        ),
     ] = None,
     settings: Settings = None,
     no_functions: NoFunctions = False,
     link: Link = None,
     as_json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
+    style: PictureStyle = None,
     seed: GivenSeed = None,
     standard_error: Annotated[
-        float | None, typer.Option(help="Standard error of each cost. Default: 3e-4 of the cost of periodic LQG.")
+        float | None,
+        typer.Option(help="Requested standard error of each cost. Default: 3e-4 of the cost of sending every sample."),
     ] = None,
     time: TimeLimit = None,
 ) -> None:
-    """Rank several policies at the same rate, with the standard errors of their differences."""
+    """Rank several policies at the same rate, with the standard errors of their cost differences."""
     import taciturn
     from taciturn.extend import answered_within
 
@@ -120,8 +141,8 @@ def compare(
                 progress=progress,
             )  # fmt: skip
     drawn = any(one.tuned.evaluation.drawn for one in found.ranking)
-    print_result(found, as_json, problems, seed or 0, unused=None if drawn else seed)
-    save_picture(found, plot, as_json, problems, seed or 0, found.method)
+    print_result(found, as_json, verbose, problems, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, style, as_json, problems, seed or 0, found.method)
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
         refuse(f"rate or standard error were not reached by {', '.join(missed)}; give a larger --standard-error")
@@ -136,33 +157,43 @@ def tune(
         list[str] | None,
         typer.Option(
             metavar="[LINK=]X|P%",
-            help="Largest rate: sends per step or second (0.5), or percent of all samples (50%); of one link or each.",
+            help="Budget on the rate: packets per step or per second (0.5), or a percentage of all samples (50%). "
+            "LINK= sets the budget of one link.",
         ),
     ] = None,
     traffic: Annotated[
         str | None,
-        typer.Option(metavar="X|P%", help="Largest sum of all rates, each times the price of a packet on its link."),
+        typer.Option(
+            metavar="X|P%",
+            help="Budget on the traffic: the sum of the rates of all links, each multiplied by the price of a packet.",
+        ),
     ] = None,
     cost: Annotated[
         str | None,
         typer.Option(
-            metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above the cost of sending every sample."
+            metavar="X|+P%",
+            help="Budget on the cost: a number, or a percentage above the cost of sending every sample, e.g. +5%.",
         ),
     ] = None,
     violation: Annotated[
         float | None,
-        typer.Option(help="Largest share of the steps that violate the limits of the states, such as 1e-3."),
+        typer.Option(
+            help="Budget on violations: the share of the steps in which the states violate their limits, such as 1e-3."
+        ),
     ] = None,
     link: Link = None,
     least_period: Annotated[
-        float | None, typer.Option(help="Also tune the sampling period, down to this many seconds.")
+        float | None, typer.Option(help="Also tune the sampling period; its smallest value is this number of seconds.")
     ] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    plot: Plot = None,
+    style: PictureStyle = None,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     time: TimeLimit = None,
 ) -> None:
-    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violation of limits."""
+    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violations of limits."""
     import taciturn
     from taciturn.extend import answered_within
     from taciturn_studies.tune import TunedPeriod, tune_period
@@ -199,7 +230,8 @@ def tune(
                     progress=progress,
                 )
     best = found.best if isinstance(found, TunedPeriod) else found
-    print_result(found, as_json, best.problem, unused=None if best.evaluation.drawn else seed)
+    print_result(found, as_json, verbose, best.problem, unused=None if best.evaluation.drawn else seed)
+    save_picture(found, plot, style, as_json, best.problem, seed or 0, best.evaluation.method)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
 

@@ -1,4 +1,4 @@
-"""Comparison of policies at the same rate or traffic: ranking by cost, cost differences, and guarantees.
+"""Comparison of policies at the same rate or traffic: their ranking by cost, cost differences, and guarantees.
 
 The problems have the same plant, cost, network and limits, and different policies. Each policy is tuned to the rate r
 (``tune``), and its cost is corrected for the remaining error of its rate along the slope of cost against rate:
@@ -22,39 +22,39 @@ import numpy as np
 
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import (
+    Above,
+    Level,
     Panel,
     Progress,
     Series,
+    Side,
     Size,
     Stages,
+    StyleName,
     answered_within,
     draw,
+    find_style,
     in_notebook,
     instance,
     number,
+    number_of,
     per_unit,
     percent,
-    wrapped_text,
 )
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import has_average
-from taciturn.model.estimate import Estimate
+from taciturn.model.estimate import Estimate, bound_text
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result, Tabular, plain_fields
+from taciturn.model.result import VERDICT, Field, Result, Tabular, plain_fields
+from taciturn.model.steps import read
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort, difference
-from taciturn.study.evaluation import (
-    Evaluation,
-    TimeUnit,
-    Unit,
-    columns_of,
-    cost_unit,
-    percent_above,
-    rate_unit,
-    shares_text,
-)
+from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluation import Evaluation, TimeUnit, Unit, columns_of, cost_unit, rate_unit, withdrawn_text
+from taciturn.study.sentences import THAN, more_text, percent_above, shares_text
+from taciturn_studies.goal import RateGoal
 from taciturn_studies.periodic_links import LinkClocks, clocks_document, clocks_or_reason
 from taciturn_studies.tune import Tuned, tune
 
@@ -62,6 +62,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGE = 0.05  # largest correction for the rate, as a share of the cost
+BESIDE = 5.0  # width of a figure in inches, above which differences are beside the costs
+SPAN = 2.0  # standard errors of a bar
+CORRECTED = "each cost is corrected for the difference of the measured rate"
+ALIKE = 2.0  # standard errors within which two costs are not told apart
 RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending every sample
 
 
@@ -76,23 +80,23 @@ def compare(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Compare the policies of several problems at the same rate, or at the same traffic on all links.
+    """Compare the policies of several problems at the same rate or, with several links, at the same total traffic.
 
-    Each policy is tuned to the rate or the traffic, as by ``tune``. Time-triggered control that is given by its period
-    only is also tried with measurements as frequent as those of the other policies and the best cycle of send
-    intervals; the cheaper variant counts. The remaining error of a policy's rate, about one standard error, is
+    Each policy is tuned to the rate or the traffic, as by ``tune``. If periodic control is specified only by its
+    period, a second variant is also tried: it measures as often as the other policies and sends in the best cycle of
+    intervals. The cheaper variant counts. The remaining error of a policy's rate, about one standard error, is
     corrected along the slope of cost against rate, and is added to the standard error. If the rate of a policy jumps
     across the given rate, the time is shared between the policies on both sides of the jump. If two policies are both
-    simulated step by step, their difference is simulated on common draws.
+    simulated step by step, their difference is simulated with the same random numbers.
 
     Args:
         problems: at least two problems by name, with the same plant, cost and network, and different policies.
         rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
-            with a send.
+            with a send. Default: the rate of the first policy, or its traffic if it decides on several links.
         traffic: instead, the sum of the rates of all links, each times the price of a packet.
         link: link whose rate is meant; may be omitted if each policy decides on a single link.
         seed: seed of the random draws.
-        standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
+        standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending every sample.
         time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
         progress: callback that receives the fraction done.
 
@@ -113,14 +117,17 @@ def compare(
     """
     with answered_within(time_limit):
         check_effort(seed, standard_error, None)
-        if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
+        if traffic is not None and (rate is not None or link is not None):
             named = {"rate": rate, "traffic": traffic, "link": link}
-            got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
-            raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
+            got = " and ".join(name for name, value in named.items() if value is not None)
+            raise ProblemError(
+                f"the budgets {got} are given; expected either a rate, with or without a link, or a traffic"
+            )
+        given, bar = comparable(problems, link, "rate" if traffic is None else "traffic"), in_notebook(progress)
+        if rate is None and traffic is None:
+            rate, traffic = _present(next(iter(given.values())), link, seed)
         goal = "rate" if traffic is None else "traffic"
-        level = number(goal, rate if traffic is None else traffic, 0.0)
-        problems = comparable(problems, link, goal)
-        bar = in_notebook(progress)
+        level, problems = number(goal, rate if traffic is None else traffic, 0.0), given
         found: list[Contestant] = []
         for index, (name, choices) in enumerate(measuring_alike(problems).items()):
             part = Stages(bar, index / len(problems), (index + 0.8) / len(problems))
@@ -148,34 +155,50 @@ def compare(
 
 
 def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "rate") -> dict[str, Problem]:
-    """Return the problems to compare by name, at the same ``budget``: the rate or the traffic."""
+    """Return the problems to compare, by name; raise an error if they differ in more than their policies."""
     instance("problems", given, Mapping)
     problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in given.items()}
     if len(problems) < 2:
-        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
+        raise ProblemError(
+            f"the number of policies is {len(problems)}; expected at least two policies to compare, in problems that "
+            "differ in their policies, such as two-mass and two-mass-lqg"
+        )
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
         for what in ("plant", "actual", "cost", "network", "reference", "limits"):
             if not _same(getattr(first, what), getattr(second, what)):
                 tables = {"actual": "[plant.actual]", "network": "[network], [nodes] or [links]"}
                 where = tables.get(what, f"[{what}]")
-                raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
+                raise ProblemError(
+                    f"the problems {one} and {other} differ in {where}; expected equal tables in all problems"
+                )
         periods = [each.parameters.get("period") for each in (first, second)]
         if periods[0] != periods[1] and not has_average(first.plant, first.cost):
             raise ProblemError(
-                f"{one} has the period {periods[0]} and {other} {periods[1]}, but the cost is that at the sampling "
-                "instants, because the disturbances change the input that they need between samples and grow without "
-                "limit; expected equal periods, or disturbances that are constant or decay"
+                f"the problem {one} has the period {periods[0]} and the problem {other} the period {periods[1]}, but "
+                "their costs count only the sampling instants, because the disturbances grow without limit and "
+                "require an input that changes between samples; expected equal periods, or disturbances that are "
+                "constant or decay"
             )
-        if first.record is second.record and _same(_fixed(first, link), _fixed(second, link)):
+        alike = first.record is second.record and _same(_fixed(first, link), _fixed(second, link))
+        if alike and _signals(first) == _signals(second):
             raise ProblemError(
-                f"{one} and {other} are the same policy, {first.kind}, at the same {budget}; expected policies that "
-                "differ in more than the tuned parameter"
+                f"the problems {one} and {other} have the same policy, {first.kind}, at the same {budget}; expected "
+                "policies that differ in a parameter other than the tuned one"
             )
     return problems
 
 
+def _present(problem: Problem, link: str | None, seed: int) -> tuple[float | None, float | None]:
+    """Return the rate of a policy with its present parameters, or its traffic if it decides on several links."""
+    found = evaluate(replace(problem, limits=None), seed=seed)
+    if link is None and len(found.rates) > 1 and found.traffic is not None:
+        return None, float(f"{found.traffic.value:.3g}")
+    rate = RateGoal(0.0, link).of(found)
+    return float(f"{rate.value:.3g}"), None
+
+
 def measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]]:
-    """Return the variants of each problem; periodic control gets a variant that measures as often as the others."""
+    """Return each problem, with a second variant where periodic control can also use the other policies' period."""
     given = [problem.parameters.get("period") for problem in problems.values()]
     periods = [period for period in given if isinstance(period, int | float)]
     found = {name: [problem] for name, problem in problems.items()}
@@ -196,6 +219,15 @@ def _fixed(problem: Problem, link: str | None) -> dict[str, object]:
     }
     tuned = {tuning.name for tuning in problem.record.tuning if link is None or tuning.link in (None, link)}
     return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
+
+
+def _signals(problem: Problem) -> list[list[str]]:
+    """Return the signals that each policy step reads; another rule of this kind reads other signals."""
+    try:
+        policy = problem.designed()
+    except TaciturnError:  # the design fails for the present parameter value, but may succeed for others
+        return []
+    return [sorted(read(step)) for step in policy.steps] if isinstance(policy, Policy) else []
 
 
 def _same(one: object, other: object) -> bool:
@@ -237,9 +269,9 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: str | None) -> Contesta
         shift, error = _shift(tuned, rate)
         if abs(shift) + error > LARGE * abs(cost.value):
             raise ProblemError(
-                f"the cost of {here.policy} cannot be estimated at the {tuned.goal.name} {rate:g}, where it changes by "
-                f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable "
-                "there; expected another rate, or another policy"
+                f"the cost of {here.policy} cannot be estimated at the {tuned.goal.name} {rate:g}, where its slope is "
+                f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable there; expected "
+                "another rate, or another policy"
             )
         cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
     return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
@@ -286,7 +318,7 @@ def _loop(one: Contestant) -> Loop | None:
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:
-    """Return the least cost of sending at every step among the policies with the most steps per second."""
+    """Return the least cost of sending every sample among the policies with the most steps per second."""
     answers = [one.tuned.evaluation for one in found]
     fastest = max(one.base_rate or 0.0 for one in answers)
     costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
@@ -295,7 +327,7 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Contestant(Result):
-    """One of the compared policies, tuned to the common rate or traffic.
+    """One of the compared policies, with its parameter tuned to the common rate or traffic.
 
     Args:
         name: name given by the user.
@@ -325,25 +357,25 @@ class Contestant(Result):
     share_error: float = 0.0
 
     def short(self) -> str:
-        """Return the name of the policy and its cost as text."""
+        """Return a text with the name of the policy and its cost."""
         return f"{self.name}: {self.cost}"
 
     @property
     def parameter(self) -> str:
-        """Name and value of the tuned parameter, or two values that alternate in long phases."""
+        """Name and value of the tuned parameter; two values if the policy alternates between them."""
         one, two = self.tuned.parameter, None if self.tuned.beyond is None else self.tuned.beyond.parameter
         values = [one.beside(two), *(() if two is None else (two.beside(one),))]
         return f"{self.tuned.parameter.name} = {' and '.join(values)}"
 
     @property
     def rates(self) -> tuple[Estimate, ...]:
-        """Rate or traffic for which the cost was computed, or those of two policies that alternate."""
+        """Rate or traffic at which the cost was computed; two values if the policy alternates between two settings."""
         both = (self.tuned, self.tuned.beyond)
         return tuple(one.goal.use(one.evaluation) for one in both if one is not None)
 
     @property
     def violation(self) -> Estimate | None:
-        """Share of the steps in which limits of the states are violated, at this rate; None if it is unknown."""
+        """Fraction of the steps in which the states violate their limits, at this rate; None if unknown."""
         both = (self.tuned, self.tuned.beyond)
         found = [one.evaluation.violations for one in both if one is not None]
         steps = [one.total.per_step for one in found if one is not None]
@@ -356,7 +388,7 @@ class Contestant(Result):
 
     @property
     def reached(self) -> bool:
-        """True if the policy reached the common rate and the requested standard error."""
+        """Whether the policy has the common rate, and its evaluation the requested standard error."""
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
 
 
@@ -367,9 +399,47 @@ def _parameter(one: Contestant) -> dict[str, Any]:
     return {**one.tuned.parameter.document(), "beyond": beyond, **shared}
 
 
-def _measured(found: Comparison) -> str:
-    measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
-    return f"{', '.join(measured)}; each cost is corrected for the difference"
+def _notes(found: Comparison) -> Iterator[str]:
+    """Yield the shares and the notes of each policy."""
+    for one in found.ranking:
+        share = percent(one.share, 1, error=one.share_error)
+        shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
+        shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
+        notes = "; ".join(note for note in one.tuned.evaluation.notes if note not in one.tuned.evaluation.doubts)
+        if shared or notes:
+            yield f"{one.name}: {(shared + notes).removesuffix('; ')}"
+
+
+def _verdict(found: Comparison) -> Iterator[str]:
+    """Yield the policy with the least cost, and the costs of the next and the last policy."""
+    (first, *others), base = found.ranking, found.cost_all_time
+    at = f"at {'the traffic ' if found.of == 'traffic' else ''}{found.level}"
+
+    def costs(one: Contestant) -> str:
+        if not base or base <= 0:
+            return f"cost {one.cost} {per_unit(found.unit)}"
+        return more_text(one.cost, base, than=THAN)
+
+    alike = [one for one in others if one.above.value <= ALIKE * one.above.standard_error]
+    if alike:
+        names = " and ".join(one.name for one in (first, *alike))
+        yield f"{names} cost the same {at}, within the standard errors: {costs(first)}"
+    else:
+        yield f"{first.name} costs least {at}: {costs(first)}"
+    left = [one for one in others if one not in alike]
+    if left:
+        yield "; ".join(f"{one.name}: {costs(one)}" for one in (left[:1] + left[1:][-1:]))
+    yield from withdrawn_text([one.tuned.evaluation for one in found.ranking])
+    for one in found.ranking:
+        yield from (f"{one.name}: {doubt}" for doubt in one.tuned.evaluation.doubts)
+
+
+def _policies(found: Comparison) -> list[tuple[str, str]]:
+    """Return a description of each policy, and the rate at which it was measured."""
+    return [
+        (one.name, f"{one.policy}, {one.parameter}, measured at {' and '.join(map(str, one.rates))}")
+        for one in found.ranking
+    ]
 
 
 def _periodic(found: Comparison) -> str:
@@ -377,19 +447,19 @@ def _periodic(found: Comparison) -> str:
         return f"none at this traffic: {found.clocks}"
     if found.clocks is None:
         return ""
-    return f"{found.clocks.cost:.6g}, the least found, in steps: {found.clocks.short()}"
+    return f"{found.clocks.cost:.6g}, the least found with {found.clocks.whose}, in steps: {found.clocks.short()}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Tabular):
-    """Policies at the same rate or traffic, ranked by cost, the cheapest first.
+    """Policies at the same rate or traffic, in ascending order of their costs.
 
     Args:
         rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send. For
             policies at the same traffic, the sum of the rates of all links, each times the price of a packet.
         unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
             instants"`` or ``"mission"``.
-        cost_all_time: least exact cost of sending at every step among the policies with the most steps per second, or
+        cost_all_time: least exact cost of sending every sample among the policies with the most steps per second, or
             None if it is unknown.
         ranking: the policies in the order of their costs.
         of: what is equal for all policies: the ``"rate"`` of a link, or the ``"traffic"``.
@@ -398,12 +468,15 @@ class Comparison(Tabular):
     """
 
     FIELDS: ClassVar[tuple[Field[Comparison], ...]] = (
-        Field("rate", say="", text=lambda found: [(found.of, found.level)]),
-        *plain_fields("of", "unit", "rate_unit", "method"),
-        Field("measured", key="", say="measured", text=_measured),
+        VERDICT,
+        Field("rate", say="", text=lambda found: [(found.of, f"{found.level}; {CORRECTED}")]),
+        *plain_fields("of", "unit", "rate_unit"),
+        Field("method", say="method", part="method"),
+        Field("seconds", key="", say="time", text="{:.3g} s", part="method"),
         Field("cost_all_time", say="every sample", text="{:.6g}"),
         Field("clocks", json=clocks_document, optional=True, say="periodic", text=_periodic),
-        Field("ranking", lambda found: found.row_documents()),
+        Field("ranking", lambda found: found.row_documents(), say="", text=_policies),
+        Field("notes", lambda found: tuple(_notes(found)), key="", say="note"),
     )
     heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
 
@@ -415,51 +488,59 @@ class Comparison(Tabular):
     clocks: LinkClocks | str | None = None
 
     @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that names the policy with the least cost, and says how much more the other policies cost."""
+        return tuple(_verdict(self))
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of evaluating the tuned policies, in seconds."""
+        return sum(one.tuned.evaluation.seconds for one in self.ranking)
+
+    @property
     def method(self) -> str:
         """Methods that gave the costs."""
         return ", ".join(dict.fromkeys(one.tuned.evaluation.method for one in self.ranking))
 
     @property
     def rate_unit(self) -> TimeUnit:
-        """Unit of time of the rate."""
+        """Unit of time to which the rate refers."""
         return rate_unit(self.unit)
 
     @property
     def level(self) -> str:
-        """The common rate or traffic as text."""
+        """Text that states the common rate or traffic."""
         return f"{self.rate:.6g}{' sends' * (self.of == 'rate')} per {self.rate_unit}"
 
-    @property
-    def labels(self) -> int:
-        """Name and policy."""
-        return 2
-
     def table_rows(self) -> Sequence[Contestant]:
-        """Return the policies, the cheapest first."""
+        """Return the rows of the table, one for each compared policy, in ascending order of the cost."""
         return self.ranking
 
     def row_fields(self) -> tuple[Field[Contestant], ...]:
-        """Return policy, parameter, cost and guarantee of a contestant."""
+        """Return the columns of the table: policy, parameter, cost and guarantee."""
         base, limited = self.cost_all_time, any(one.violation is not None for one in self.ranking)
 
         def extra(one: Contestant) -> str:
             return percent_above(one.cost, base) if base else ""
 
-        def above(one: Contestant) -> str:
-            return str(one.above) if one.above.value or one.above.standard_error else ""
+        def bound(one: Contestant) -> str:
+            if one.cost_bound is None:
+                return "none"
+            proved = Estimate(one.cost_bound, 0.0, "bound")
+            return percent_above(proved, base, 1) if base else bound_text(proved, 1)
 
         return (
             Field("name", column="name", say=""),
-            Field("policy", column="policy", say="policy"),
+            Field("policy", column="policy"),
             Field("link"),
             Field("method", "tuned.evaluation.method"),
-            Field("parameter", key="", column="parameter", say="parameter"),
+            Field("parameter", key="", column="parameter"),
             Field("parameter", _parameter),
             Field("rates"),
             Field("cost", json=Estimate.document, column="cost", say=f"cost {per_unit(self.unit)}"),
             Field("extra", key="", say="extra cost", text=extra),
-            Field("above", key="above_best", column="above_the_first", say="above the first", text=above),
-            Field("cost_bound", column="guarantee", say="guarantee", none="none", up=1),
+            Field("above", key="above_best", column="above_the_first", say="above the first", text=_difference),
+            Field("cost_bound", column="guarantee", say="guarantee", text=bound, up=1),
             Field(
                 "violation",
                 json=Estimate.document,
@@ -473,28 +554,53 @@ class Comparison(Tabular):
             *columns_of(lambda one: one.tuned.evaluation),
         )
 
-    def remarks(self) -> Iterator[str]:
-        """Yield the shares and the notes of each policy."""
-        for one in self.ranking:
-            share = percent(one.share, 1, error=one.share_error)
-            shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
-            shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
-            notes = "; ".join(one.tuned.evaluation.notes)
-            if shared or notes:
-                yield wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}")
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the costs in ascending order, and how far each exceeds the lowest; side by side if the figure is wide.
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure with the cost and standard error of each policy, and its guarantee if it fits in the axes."""
-        listed = self.ranking[::-1]  # the first is the uppermost
-        names, costs = [one.name for one in listed], [one.cost.value for one in listed]
-        errors = [one.cost.standard_error for one in listed]
-        series = [Series(costs, [float(place) for place in range(len(listed))], "cost", "bars", errors, 0)]
-        bounds = {float(place): one.cost_bound for place, one in enumerate(listed) if one.cost_bound is not None}
-        shown = {place: bound for place, bound in bounds.items() if bound <= 1.5 * max(costs)}
-        if shown:
-            series.append(Series([*shown.values()], [*shown], "guaranteed", "stars", color=3))
-        if self.cost_all_time is not None:
-            series.append(Series([self.cost_all_time] * 2, [-0.5, len(names) - 0.5], "all-time", "dashed", color=7))
-        title = f"{self.rate:.4g} sends per {self.rate_unit}" if self.of == "rate" else f"traffic {self.rate:.4g}"
-        panel = Panel(series, f"cost {per_unit(self.unit)}", "", title, names)
-        return draw([panel], ax, figsize, height=1.5 + 0.35 * len(names))
+        The error bars are two standard errors. The error bars of the differences are smaller, because all policies are
+        simulated with the same random numbers.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure: two.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+        """
+        panels, wide = self._panels(), find_style(style).width > BESIDE
+        return draw([Side([one]) for one in panels] if wide else panels, ax, figsize, style)
+
+    def _panels(self) -> tuple[Panel, Panel]:
+        """Return the panels of the costs and of their differences from the first."""
+        listed, per = self.ranking[::-1], per_unit(self.unit)  # the first is the uppermost
+        rows = [float(row) for row in range(len(listed))]
+        costs, errors = [one.cost.value for one in listed], [SPAN * one.cost.standard_error for one in listed]
+        series = [Series(costs, rows, "cost ± 2 standard errors", "bars", errors, "policy")]
+        bounds = [(row, one.cost_bound) for row, one in zip(rows, listed, strict=True) if one.cost_bound is not None]
+        every = [] if self.cost_all_time is None else [self.cost_all_time]
+        timed = [self.clocks.cost] if isinstance(self.clocks, LinkClocks) else []
+        x, y = [bound for _, bound in bounds], [row for row, _ in bounds]
+        series += [Series(x, y, "guarantee", "points", thing="guarantee")] if bounds else []
+        ends = [-0.5, len(rows) - 0.5]
+        series += [Series([cost] * 2, ends, "every sample", thing="every sample") for cost in every]
+        series += [Series([cost] * 2, ends, "periodic control", thing="periodic control") for cost in timed]
+        base = every[0] if every and every[0] > 0 else None
+        axis = None if base is None else Above.of(base, costs, [*x, *timed])
+        label = f"cost {per}" if axis is None else f"cost above every sample, {axis.base:.4g} {per}"
+        apart = Series(
+            [one.above.value for one in listed], rows, "", "bars",
+            [SPAN * one.above.standard_error for one in listed], "policy",
+        )  # fmt: skip
+        names, notes = [one.name for one in listed], [_difference(one) for one in listed]
+        title = (
+            f"{number_of(f'{self.rate:.4g}', 'send')} per {self.rate_unit}"
+            if self.of == "rate"
+            else f"traffic {self.rate:.4g}"
+        )
+        return (
+            Panel(series, label, title=title, names=names, xabove=axis),
+            Panel([apart], f"cost above the first, {per}", names=names, notes=notes, levels=[Level(0.0, axis="x")]),
+        )
+
+
+def _difference(one: Contestant) -> str:
+    """Return a cost minus that of the first as text."""
+    return str(one.above) if one.above.value or one.above.standard_error else ""

@@ -1,4 +1,4 @@
-"""Budgets that a tuned policy is to meet: limits on rates, on the traffic, on the cost, or on violations of limits.
+"""Budgets that a tuned policy must meet: limits on rates, on traffic, on cost, or on violations of state limits.
 
 A goal names the estimate of an evaluation that is limited, its least and its largest value among all policies, and the
 use of the network that the cost is traded for. An answer meets its budget with a confidence, the probability for
@@ -31,7 +31,7 @@ EXACT = 1e-9  # relative tolerance of the budget, for the rounding errors of cos
 
 @dataclass(frozen=True, repr=False)
 class Goal(Displayed, ABC):
-    """An upper limit that the answer of a search meets."""
+    """Upper limit on a quantity, such as a rate; a search tunes the policy so that it meets this limit."""
 
     name: ClassVar[str]
     limits_cost: ClassVar[bool] = False
@@ -48,40 +48,44 @@ class Goal(Displayed, ABC):
         return f"{self.name} at most {self.budget:.6g}"
 
     def text(self, evaluation: Evaluation) -> str:
-        """Return the budget as text, with its unit."""
+        """Return a text that states the budget with its unit."""
         return f"{self.short()} {per_unit(evaluation.rate_unit)}"
+
+    def axis(self, evaluation: Evaluation) -> str:
+        """Return the axis label that names the limited quantity and its unit."""
+        return f"{'sends' if self.name == 'rate' else self.name} {per_unit(evaluation.rate_unit)}"
 
     @property
     def document(self) -> object:
-        """The limit as a value that JSON can represent."""
+        """The limit as it appears in the JSON document."""
         return self.budget
 
     @abstractmethod
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the estimate that the budget limits."""
+        """Return the limited quantity of an evaluated policy, with its error."""
 
     def above(self, evaluation: Evaluation) -> tuple[float, float]:
-        """Return the excess over the budget and its error, in the units of the search."""
+        """Return by how much the limited quantity exceeds its budget, and the error of this difference."""
         found = self.of(evaluation)
         return found.value - self.budget, found.standard_error + found.error
 
     def use(self, evaluation: Evaluation) -> Estimate:
-        """Return the use of the network that cost is traded for: the limited one, unless the budget limits the cost."""
+        """Return the rate or the traffic of an evaluated policy."""
         return self.of(evaluation)
 
     def least(self, evaluation: Evaluation) -> float | None:
-        """Return the least value that any policy reaches, or None if it is unknown."""
+        """Return the least value of the limited quantity that any policy can reach; None if that value is unknown."""
         return None
 
     def most(self, evaluation: Evaluation) -> float | None:
-        """Return the largest value that any policy reaches, or None if it is unknown or infinite."""
+        """Return the largest value of the limited quantity that any policy can reach; None if unknown or infinite."""
         return None
 
     def confidence(self, evaluation: Evaluation) -> float | None:
-        """Return the probability that the answer meets the budget, for normally distributed errors.
+        """Return the probability that the policy meets the budget, for normally distributed estimation errors.
 
-        A value that exceeds the budget by at most ``EXACT`` of it meets the budget. The probability is 1 for a rate
-        that no policy exceeds, and None if the standard error cannot be trusted.
+        A value that exceeds the budget by at most the fraction ``EXACT`` of the budget counts as meeting it. The
+        probability is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
         """
         found, most = self.of(evaluation), self.most(evaluation)
         if most is not None and self.budget >= most:
@@ -96,47 +100,50 @@ class Goal(Displayed, ABC):
 
 @dataclass(frozen=True, repr=False)
 class RateGoal(Goal):
-    """A limit on the rate of a link, by name or the only one on which the policy decides."""
+    """Limit on the send rate of one link: a named link, or the only link on which the policy decides."""
 
     name: ClassVar[str] = "rate"
 
     link: str | None = None
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link."""
+        """Return the send rate of the link."""
         rates = evaluation.rates
         if self.link is None and len(rates) > 1:
             raise ProblemError(
-                f"{evaluation.policy} decides on {len(rates)} links, and a rate is given without a link; expected the "
-                f"link, one of {', '.join(rates)}"
+                f"the policy {evaluation.policy} makes send decisions on {len(rates)} links, but a rate is given "
+                f"without a link; expected one of the links {', '.join(rates)}"
             )
         return _rate(evaluation, next(iter(rates)) if self.link is None else self.link)
 
     def most(self, evaluation: Evaluation) -> float | None:
-        """Return the rate of sending every sample."""
+        """Return the rate of sending every sample, because no policy has a larger rate."""
         return evaluation.base_rate
 
 
 @dataclass(frozen=True, repr=False)
 class TrafficGoal(Goal):
-    """A limit on the traffic: the rates of all links on which the policy decides, each times the price of a packet."""
+    """Limit on the traffic: send rates times prices of packets, summed over all links on which the policy decides."""
 
     name: ClassVar[str] = "traffic"
 
     def of(self, evaluation: Evaluation) -> Estimate:
         """Return the traffic."""
         if evaluation.traffic is None:
-            raise ProblemError(f"{evaluation.policy} decides on no link, so it has no traffic; expected a rate")
+            raise ProblemError(
+                f"the policy {evaluation.policy} makes no send decisions on a link, so it has no traffic; expected a "
+                "budget on the rate"
+            )
         return evaluation.traffic
 
     def most(self, evaluation: Evaluation) -> float | None:
-        """Return the traffic of sending every sample on the links on which the policy decides."""
+        """Return the traffic if every sample is sent on each link on which the policy decides."""
         return None if evaluation.base_rate is None else evaluation.base_rate * sum(evaluation.prices.values())
 
 
 @dataclass(frozen=True, repr=False)
 class RatesGoal(Goal):
-    """Limits on the rates of several links: the largest share of a limit that is used is at most 1."""
+    """Limits on the send rates of several links; the largest ratio of a rate to its limit must be at most 1."""
 
     name: ClassVar[str] = "rates"
 
@@ -147,20 +154,24 @@ class RatesGoal(Goal):
         """Return the limits as text."""
         return ", ".join(f"rate of {link} at most {limit:.6g}" for link, limit in self.limits.items())
 
+    def axis(self, evaluation: Evaluation) -> str:
+        """Return the axis label for the largest ratio of a link's rate to its limit."""
+        return "largest share of a limit of the rates"
+
     @property
     def document(self) -> object:
         """The limits by link."""
         return dict(self.limits)
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the largest ratio of a rate to its limit."""
+        """Return the largest ratio of a link's rate to its limit."""
         most = evaluation.base_rate
         for link, limit in self.limits.items():
             _rate(evaluation, link)
             if most is not None and limit > most * (1 + EXACT):
                 raise ProblemError(
-                    f"the rate {limit:g} of {link} is above the rate of sending at every step; expected at most "
-                    f"{most:g}"
+                    f"the rate {limit:g} of the link {link} is above the rate of sending every sample; expected at "
+                    f"most {most:g}"
                 )
         shares = [_rate(evaluation, link).scaled(1 / limit) for link, limit in self.limits.items()]
         return max(shares, key=lambda share: share.value)
@@ -176,19 +187,23 @@ class CostGoal(Goal):
     link: str | None = None  # link whose rate is the use of the network; default: the traffic on all links
 
     def text(self, evaluation: Evaluation) -> str:
-        """Return the budget as text, with the unit of the cost."""
+        """Return a text that states the budget with the unit of the cost."""
         return f"{self.short()} {per_unit(evaluation.unit)}"
+
+    def axis(self, evaluation: Evaluation) -> str:
+        """Return the axis label for the cost, with its unit."""
+        return f"cost {per_unit(evaluation.unit)}"
 
     def of(self, evaluation: Evaluation) -> Estimate:
         """Return the cost."""
         return evaluation.cost
 
     def least(self, evaluation: Evaluation) -> float | None:
-        """Return the cost of sending at every step."""
+        """Return the cost of sending every sample, because no policy has a lower cost."""
         return evaluation.cost_all_time
 
     def use(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link, or the traffic on all links."""
+        """Return the rate of the link or, for several links, the traffic."""
         if self.link is not None:
             return _rate(evaluation, self.link)
         only = list(evaluation.rates.values())
@@ -197,9 +212,9 @@ class CostGoal(Goal):
 
 @dataclass(frozen=True, repr=False)
 class ViolationGoal(CostGoal):
-    """A limit on the share of the steps in which limits of the states are violated, searched on a logarithmic scale.
+    """Limit on the fraction of steps in which states violate their limits; the search uses a logarithmic scale.
 
-    Its evaluations contain the probabilities of violation.
+    An evaluation for this goal contains the probabilities of violation.
     """
 
     name: ClassVar[str] = "violation"
@@ -210,27 +225,32 @@ class ViolationGoal(CostGoal):
         """Return the budget as text."""
         return f"{self.short()} of the steps"
 
+    def axis(self, evaluation: Evaluation) -> str:
+        """Return the axis label for the fraction of steps with a violation."""
+        return "share of the steps with a violation"
+
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the probability per step that any limit is violated."""
+        """Return the probability that a step violates at least one limit."""
         if evaluation.violations is None:
             raise ProblemError(evaluation.notes[-1])
         return evaluation.violations.total.per_step
 
     def above(self, evaluation: Evaluation) -> tuple[float, float]:
-        """Return the logarithm of the ratio to the budget, and its error."""
+        """Return the logarithm of the ratio of the limited quantity to its budget, with the error of this logarithm."""
         found = self.of(evaluation)
         seen = max(found.value, found.standard_error)
         return math.log(seen / self.budget), found.standard_error / seen
 
     def least(self, evaluation: Evaluation) -> float | None:
-        """Return None: no policy has a known least probability."""
+        """Return None, because the least probability that a policy can reach is unknown."""
         return None
 
 
 def _rate(evaluation: Evaluation, link: str) -> Estimate:
     if link not in evaluation.rates:
         raise ProblemError(
-            f"link is {link!r}, on which {evaluation.policy} does not decide; expected {' or '.join(evaluation.rates)}"
+            f"link is {link!r}, but the policy {evaluation.policy} makes no send decisions on this link; expected the "
+            f"link {' or '.join(evaluation.rates)}"
         )
     return evaluation.rates[link]
 
@@ -245,7 +265,7 @@ EXAMPLES = {
 
 
 def parse_budget(name: str, text: str) -> float | str:
-    """Return the number that a text contains, or the text itself if it is a percentage."""
+    """Convert a text to a number, but leave a percentage such as "5%" as it is."""
     found = None
     with suppress(ValueError):
         found = float(text)
@@ -261,26 +281,27 @@ def parse_budget(name: str, text: str) -> float | str:
 
 
 def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: object) -> float:
-    """Return a budget as a number; percentages refer to the rate or cost of sending at every step."""
+    """Convert a budget to a number; a percentage refers to the rate, or the cost, of sending every sample."""
     if not isinstance(budget, str):
         return number(name, budget, 0.0)
-    share, given = _share(name, budget), problem.parameters
+    share = _share(name, budget)
     if tuning.name == "period":
         sought = f"the {name} of sending every sample depends on the period, which is tuned"
-        raise ProblemError(f"{name} is {budget!r}, but {sought}; expected a number")
-    start = given.get(tuning.name, max(tuning.least, 1) if tuning.whole else tuning.least + 1.0)
-    policy = problem.changed({tuning.name: start}).designed()
+        raise ProblemError(f"{name} is {budget!r}, a percentage, but {sought}; expected a number")
+    policy = problem.changed({tuning.name: tuning.value_in(problem.parameters)}).designed()
     nodes = nodes_of(policy)
     loop = None if nodes is None else problem.close(nodes)
     if name != "cost":
         if loop is None:
-            raise ProblemError(f"{name} is {budget!r}, but {policy.kind} has no sampling steps; expected a number")
+            raise ProblemError(
+                f"{name} is {budget!r}, but the policy {policy.kind} has no sampling steps; expected a number"
+            )
         links = loop.network.links
         paid = 1.0 if name == "rate" else sum(links[link].price for link in loop.policy.scheduled)
         return share * paid * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
     if loop is not None and not loop.nominal:
         unknown = f"the cost of sending every sample is unknown, since {loop.violated_assumptions[0]}"
-        raise ProblemError(f"cost is {budget!r}, but {unknown}; expected a number")
+        raise ProblemError(f"cost is {budget!r}, a percentage, but {unknown}; expected a number")
     return (1 + share) * policy.cost_all_time
 
 

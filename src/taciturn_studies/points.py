@@ -1,4 +1,4 @@
-"""Evaluation of one problem with many values: in this process, on a pool or on a cluster, with a store of results."""
+"""Evaluation of a problem for many values, in this process, in a pool or on a cluster, with a store of results."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Cell(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Refusal(Displayed):
-    """The error that explains why a cell of a grid has no result."""
+    """The error that explains why there is no result for a cell of a grid."""
 
     error: TaciturnError
 
@@ -63,7 +63,7 @@ Answer: TypeAlias = Evaluation | Refusal
 
 @dataclass(frozen=True, repr=False)
 class Effort(Displayed):
-    """Requested accuracy of the evaluation in every cell of a grid."""
+    """The accuracy that is requested for each evaluation of a grid."""
 
     standard_error: float | None = None  # absolute standard error of the cost
     confidence: float | None = None  # confidence of the lower bound, in cells that have one; None for no lower bound
@@ -71,7 +71,7 @@ class Effort(Displayed):
 
 
 class Cells(Protocol):
-    """A sequence of grid cells: a list, or cells that are created on demand."""
+    """The cells (combinations of values) of a grid in sequence, as a list or created on demand."""
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -90,7 +90,7 @@ def evaluate_cells(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> list[Evaluation]:
-    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``."""
+    """Evaluate cells that must all succeed, with the arguments of ``run_cells``."""
     found: dict[int, Evaluation] = {}
     for index, answer in run_cells(problem, cells, effort, executor, store, progress):
         if isinstance(answer, Refusal):
@@ -107,13 +107,15 @@ def run_cells(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Answer]]:
-    """Yield each cell's index and answer as they become available; a failing cell does not stop the others.
+    """Evaluate the cells of a grid, and yield each cell's index and result as soon as they are available.
 
-    An answer depends only on its cell: not on the order, the workers, or the number of workers.
+    An error in one cell does not stop the other cells.
+
+    A result depends only on its cell, not on the order of the cells, the workers, or the number of workers.
     """
     if store is not None and problem.own is not None:
         raise ProblemError(
-            "a store is given, but the policy comes from Python code, which a stored result does not identify; "
+            "a store is given, but the policy comes from Python code, by which a stored result cannot be identified; "
             "expected no store, or a Problem with a policy kind"
         )
     done = 0
@@ -149,16 +151,16 @@ class _Kept:
     effort: Effort
 
     def find(self, index: int) -> Evaluation | None:
-        """Return the stored answer of a cell, or None if there is none."""
+        """Return the stored result of a cell; None if it is not stored."""
         found = None if self.store is None else self.store.read(self._key(index))
         return found if isinstance(found, Evaluation) else None
 
     def holds(self, index: int) -> bool:
-        """Return whether the store contains the result of a cell."""
+        """Return whether the result of a cell is stored."""
         return self.store is not None and self.store.holds(self._key(index))
 
     def keep(self, index: int, answer: Answer) -> Answer:
-        """Store an answer, unless it is a refusal, and return it."""
+        """Store the result of a cell, unless it is an error, and return it."""
         if self.store is not None and isinstance(answer, Evaluation):
             self.store.write(self._key(index), answer)
         return answer
@@ -245,7 +247,7 @@ def _failed(future: Future[Report[tuple[list[Answer], float]]]) -> bool:
 
 
 def answer_block(problem: Problem, cells: Sequence[Cell], effort: Effort) -> tuple[list[Answer], float]:
-    """Return the answers of some cells, computed on one thread, and the computing time in seconds."""
+    """Evaluate some cells on one thread, and return their results and the computing time in seconds."""
     began = time.perf_counter()
     with one_thread():
         return [_answer(problem, cell, effort, None) for cell in cells], time.perf_counter() - began
@@ -272,7 +274,7 @@ def _answer(problem: Problem, cell: Cell, effort: Effort, progress: Progress | N
 
 
 def check_confidence(problems: Sequence[Problem], confidence: float | None) -> None:
-    """Reject a request for lower bounds if no problem has one."""
+    """Raise an error if lower bounds are requested but exist for none of the problems."""
     if confidence is None:
         return
     number("confidence", confidence, 0.0, 1.0)
@@ -281,7 +283,7 @@ def check_confidence(problems: Sequence[Problem], confidence: float | None) -> N
 
 
 def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
-    """Return the values of each name as lists."""
+    """Check the values of each varied name, and convert them to lists."""
     instance("over", over, Mapping)
     listed: dict[str, list[object]] = {}
     for name, values in over.items():
@@ -298,34 +300,34 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
                     f"the keys {other} and {name} are the same, or one contains the other; expected one of them"
                 )
     if not listed or not all(listed.values()):
-        raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
+        raise ProblemError("no values are given; expected a name with at least one value, such as theta=0.1,1")
     return listed
 
 
 def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return every combination of the values; the last name varies fastest."""
+    """Return all combinations of the values; the last name varies fastest."""
     return [dict(zip(listed, values, strict=True)) for values in itertools.product(*listed.values())]
 
 
 def labels_of(name: str, values: Sequence[object]) -> list[Any]:
-    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON."""
+    """Return the coordinates along one dimension of a grid: numbers and strings unchanged, other values as JSON."""
     numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
     plain = numbers or all(isinstance(one, str) for one in values)
     labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
     twice = next((one for one in labels if labels.count(one) > 1), None) if len(set(labels)) < len(labels) else None
     if twice is not None:
-        raise ProblemError(f"{name} has the value {twice} twice; expected each value once")
+        raise ProblemError(f"the list of values for {name} contains {twice} twice; expected each value only once")
     return labels
 
 
 def path_of(name: str) -> list[str]:
-    """Return the path of a name: its tables, then its key."""
+    """Split a dotted name into the tables and the key that it names; a name without a dot is a key of ``policy``."""
     path = name.split(".")
     return path if len(path) > 1 else ["policy", *path]
 
 
 def plain_value(name: str, value: object) -> object:
-    """Return a value in the form of a problem file: arrays as lists of rows."""
+    """Return a value in the form that a problem file allows; an array becomes a list of rows."""
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
         expect_unmasked(f"a value of {name}", value)
         value = cast("Any", value).tolist()
@@ -338,9 +340,9 @@ def plain_value(name: str, value: object) -> object:
         return [plain_value(name, one) for one in cast("Iterable[object]", value)]
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers, words, lists or arrays of them")
+    raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers or words, or lists or arrays of these")
 
 
 def label_of(problem: Problem) -> dict[str, str]:
-    """Return the label of a sweep's results: digest of the problem, and version."""
+    """Return the label of a sweep's results, made of the problem's digest and the version of Taciturn."""
     return {"problem": fingerprint(problem), "version": __version__}

@@ -1,4 +1,4 @@
-"""The search for the value of a parameter at which a policy meets a budget.
+"""Search for the parameter value at which a policy meets a budget.
 
 The excess over the budget is a function of one parameter, such as a threshold, known with a statistical error. A trial
 of a value is an evaluation by quadrature if one serves, else a simulation of a fixed number of steps; all trials use
@@ -28,6 +28,7 @@ from taciturn.analyse.renewal import decides_alone, expect_affordable
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.extend import Displayed, Progress, Stages, crossing, per_unit
+from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
@@ -58,12 +59,27 @@ AIMED, FAR = 3.0, 8.0  # standard errors below the budget: target of a correctio
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Look(Displayed):
-    """A trial of one value of the tuning parameter: its evaluation, and the excess over the budget."""
+    """A trial of one parameter value: the evaluation, and by how much the limited quantity exceeds the budget."""
 
     value: float
     evaluation: Evaluation
     above: float
     error: float
+
+
+@dataclass(frozen=True, repr=False)
+class Attempt(Displayed):
+    """One tested parameter value, with the limited quantity, the cost, and the rate or traffic."""
+
+    value: float
+    limited: Estimate
+    cost: Estimate
+    used: Estimate  # rate or traffic
+
+    def document(self) -> dict[str, object]:
+        """Return the attempt as JSON."""
+        found = {"limited": self.limited.value, "cost": self.cost.value, "used": self.used.value}
+        return {"value": self.value, **found}
 
 
 class _FailedError(Exception):
@@ -76,7 +92,7 @@ class _FailedError(Exception):
 
 
 class Search:
-    """A search over values of the tuning parameter."""
+    """A search for the parameter value at which a policy meets a budget."""
 
     def __init__(
         self,
@@ -96,7 +112,7 @@ class Search:
         self._stage = Stages(progress, 0.0, 1 - LEFT)  # of the present trial
 
     def look(self, value: float) -> Look | None:
-        """Return the trial of a value, or None if no policy can be designed or the loop diverges."""
+        """Evaluate one parameter value; return None if no policy can be designed or the loop is unstable."""
         if value not in self._seen:
             try:
                 changed = self.problem.changed({self.tuning.name: value})
@@ -110,7 +126,7 @@ class Search:
         return look if isinstance(look, Look) else None
 
     def try_at(self, value: float, steps: int | None = None) -> Look:
-        """Return a trial of a number of steps, or at full precision."""
+        """Evaluate one parameter value with a given number of steps, or else with the requested standard error."""
         changed, error = self.problem.changed({self.tuning.name: value}), None if steps else self.standard_error
         return self._seen_as(value, changed, look_at(changed, self.seed, steps, error, self._stage), steps)
 
@@ -121,15 +137,15 @@ class Search:
         return Look(value, evaluation, *self.goal.above(evaluation))
 
     def meets_exactly(self, look: Look) -> bool:
-        """Return whether a trial equals the budget within its error."""
+        """Return whether the limited quantity of a trial equals the budget, apart from its error."""
         return abs(look.above) <= max(EXACT * self.goal.budget, self.goal.close * look.error)
 
     def keeps(self, look: Look) -> bool:
-        """Return whether a trial is below the budget by more than its error."""
+        """Return whether the limited quantity of a trial is below the budget by more than its error."""
         return look.above + KEPT * look.error <= EXACT * self.goal.budget
 
     def bracket(self) -> tuple[Look, Look]:
-        """Return two trials that bracket the budget: one that is not above it, and one that is above it."""
+        """Find two trials on both sides of the budget: one at or below it, and one above it."""
         here = self._start()
         self.expect_possible(here.evaluation)
         if self.meets_exactly(here):
@@ -160,7 +176,7 @@ class Search:
         return None
 
     def close_in(self, low: Look, high: Look) -> tuple[Look, Look]:
-        """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly.
+        """Narrow the interval around a crossing or a jump of the limited quantity; return the trials at both ends.
 
         If a trial between them fails, the search continues between one of them and the last trial before the failure.
         """
@@ -202,9 +218,7 @@ class Search:
 
     def _start(self) -> Look:
         """Return the trial of the given value, or of the nearest value for which a policy can be designed."""
-        given = self.problem.parameters.get(self.tuning.name)
-        usual = max(self.tuning.least, 1) if self.tuning.whole else self.tuning.least + 1.0
-        start = given if isinstance(given, int | float) and given > self.tuning.least else usual
+        start = self.tuning.value_in(self.problem.parameters)
         for k in range(9):
             for sign in (1.0, -1.0):
                 found = self.look(self._moved(start, sign * k * FIRST))
@@ -215,11 +229,11 @@ class Search:
         raise why
 
     def expect_start(self) -> None:
-        """Reject a budget that no value can meet, before a search of more than this parameter."""
+        """Raise an error if no parameter value can meet the budget, before a search over several parameters starts."""
         self.expect_possible(self._start().evaluation)
 
     def expect_possible(self, found: Evaluation) -> None:
-        """Reject a budget that no value can meet, by comparison with sending at every step."""
+        """Raise an error if no parameter value can meet the budget; sending every sample shows the possible range."""
         budget, most, least = self.goal.budget, self.goal.most(found), self.goal.least(found)
         # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
         if (
@@ -232,19 +246,19 @@ class Search:
         if most is not None and budget > most * (1 + EXACT):
             name = self.goal.name
             raise ProblemError(
-                f"the {name} {budget:g} per {found.rate_unit} is above the {name} of sending at every step; "
+                f"the {name} budget of {budget:g} per {found.rate_unit} is above the {name} of sending every sample; "
                 f"expected at most {most:g}"
             )
         if least is not None and budget < least * (1 - EXACT):
             raise ProblemError(
-                f"the cost {budget:g} {per_unit(found.unit)} is below the cost of sending at every step; "
+                f"the cost budget of {budget:g} {per_unit(found.unit)} is below the cost of sending every sample; "
                 f"expected at least {least:.6g}"
             )
 
     def _walk(self, here: Look, outwards: float) -> tuple[Look, Look] | None:
         """Return the last two trials of a walk that passes the budget, or None if the walk ends before.
 
-        Values that fail are passed over; if all farther ones fail, the walk ends at the farthest that does not.
+        Values that fail are skipped; if all farther values fail, the walk ends at the farthest value that does not.
         """
         side, start, distance, step, failed = here.above > 0, here.value, 0.0, FIRST, 0.0
         while distance < FARTHEST:
@@ -317,15 +331,23 @@ class Search:
         raise out_of_reach(self.problem.kind, self.tuning.name, self.goal.name, self.goal.budget, tried, failed)
 
     def looks(self) -> list[Look]:
-        """Return all trials that did not fail."""
+        """Return all successful trials."""
         return [look for look in self._seen.values() if isinstance(look, Look)]
 
+    def tried(self) -> tuple[Attempt, ...]:
+        """Return all successful trials, in ascending order of the parameter value."""
+        found = sorted(self.looks(), key=lambda look: look.value)
+        return tuple(
+            Attempt(one.value, self.goal.of(one.evaluation), one.evaluation.cost, self.goal.use(one.evaluation))
+            for one in found
+        )
+
     def place(self, value: float) -> float:
-        """Return the coordinate of a value on the logarithmic axis of the search."""
+        """Convert a parameter value to its coordinate on the search's logarithmic axis."""
         return float(np.log(value - self.tuning.least + self.tuning.whole))
 
     def value(self, place: float) -> float:
-        """Return the value at a coordinate."""
+        """Convert a coordinate on the search's logarithmic axis to a parameter value."""
         return self.tuning.least + float(np.exp(place))
 
     def _moved(self, start: float, by: float) -> float:
@@ -337,7 +359,7 @@ class Search:
         return int(max(self.tuning.least, value if value != start or by == 0 else start + np.sign(by)))
 
     def refine(self, low: Look, high: Look) -> tuple[Look, Look, float | None, float | None]:
-        """Repeat trials at full precision, and correct their values for the remaining distance from the budget."""
+        """Repeat the trials with the requested standard error, and correct the parameter for the remaining error."""
         tried = [] if low is high else [self.try_at(look.value) for look in (low, high)]
         place = self.place(low.value)
         span = self.goal.span
@@ -404,7 +426,7 @@ class Search:
         return missed, missed
 
     def measure_within(self, look: Look) -> Look:
-        """Return a trial at full precision within the budget, at this integer or at a neighbouring one."""
+        """Evaluate an integer parameter precisely and, if it exceeds the budget, the integers next to it in turn."""
         found, step = self.try_at(look.value), -1 if self.rising else 1
         for away in range(1, PASSED if self.tuning.whole else 1):
             value = int(look.value) + away * step
@@ -418,7 +440,7 @@ class Search:
 def settled(
     problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None, longer: int = LONGER
 ) -> Evaluation:
-    """Return the evaluation of a loop that settles."""
+    """Evaluate a problem, with a longer simulation if needed; raise an error if the mean cost does not converge."""
     found = look_at(problem, seed, steps, None, progress)
     if not found.reached and longer > 1:
         found = look_at(problem, seed, longer * steps, None, progress)
@@ -431,7 +453,7 @@ def settled(
 def look_at(
     problem: Problem, seed: int, steps: int | None, standard_error: float | None, progress: Progress | None = None
 ) -> Evaluation:
-    """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps."""
+    """Evaluate a problem by quadrature if possible, otherwise by simulating the given number of steps."""
     policy = problem.designed()
     if isinstance(policy, Policy) and policy.theory.cost_all_time == 0:
         raise ProblemError(
@@ -468,7 +490,7 @@ def _serves(problem: Problem, policy: Policy) -> bool:
 def out_of_reach(
     policy: str, tuned: str, name: str, budget: float, tried: Sequence[tuple[float, float]], failed: str = ""
 ) -> ProblemError:
-    """Return an error that states the range that can be reached."""
+    """Return an error for a budget that cannot be met; its message states which values can be reached."""
     found, first = sorted(value for _, value in tried), np.log(max(tried[0][0], TINY))
     same = AT_THE_END * (found[-1] - found[0])
 

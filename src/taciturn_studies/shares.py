@@ -1,4 +1,4 @@
-"""The shares of several links in one threshold: those that meet a budget with the least traffic or the least cost.
+"""Search for the shares of several links in a common threshold that meet a budget at the least traffic or cost.
 
 A policy that decides on several links divides its threshold among them. With the threshold of link l as the square of
 a scale times a share, the common scale and the shares are the unknowns; their logarithms are searched, in trials of a
@@ -21,14 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn.design.kind import TradeoffParameter
-from taciturn.errors import TaciturnError
+from taciturn.errors import TaciturnError, UnstableError
 from taciturn.extend import Array, Displayed, Progress, Stages
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 from taciturn_studies.goal import Goal, RatesGoal
 from taciturn_studies.search import LONGER, Search, out_of_reach, settled
 
-EFFORT = 400_000  # steps of a trial; all trials use the same draws
+EFFORT = 400_000  # steps of a trial, or more if the loop settles later; all trials use the same draws
 FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of a share
 WORTH = 3e-4  # least relative improvement for which the search continues
 CLOSE = 3e-3  # relative distance from the budget at which a scale is accepted, and the rest corrected
@@ -41,7 +41,7 @@ LEFT = 0.97  # share of the remaining progress that a trial leaves
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trial(Displayed):
-    """A trial of the thresholds of all links."""
+    """A trial with a threshold for each link."""
 
     # logarithm of the share of each link, plus that of a common scale, whose square is the tuning parameter
     logs: Array
@@ -49,7 +49,7 @@ class Trial(Displayed):
 
 
 class Division:
-    """The division of a threshold among the links on which a policy decides."""
+    """Search for the shares of the links in a common threshold, for the links on which a policy decides."""
 
     def __init__(
         self, problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, progress: Progress | None
@@ -59,12 +59,13 @@ class Division:
         self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
+        self._effort = EFFORT
         self._longer = LONGER if isinstance(goal, RatesGoal) else 1  # other shares that do not settle are left out
         # slopes of the limited and of the minimised quantity, at the last scale
         self._slopes: tuple[float, float] | None = None
 
     def best(self) -> dict[str, object]:
-        """Return the best shares, with three digits and the mean 1, and the threshold at which they were found."""
+        """Return the best shares, rounded to three digits and scaled to the mean 1, and the threshold for them."""
         logs = self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
         return {self._tuning.name: self._whole(logs), self._name: self._shares(logs)}
 
@@ -78,7 +79,7 @@ class Division:
         search = Search(equal, self._tuning, self._goal, self._seed, self._stage())
         found, _ = search.close_in(*search.bracket())
         logs = np.full(len(self._links), 0.5 * np.log(found.value) - np.log(len(self._links)))
-        best, worth = Trial(logs, found.evaluation), self._other(found.evaluation)
+        best, worth = self._first(logs) or (Trial(logs, found.evaluation), self._other(found.evaluation))
         step = FIRST
         while step >= LAST:
             before = worth
@@ -96,6 +97,20 @@ class Division:
             if worth >= before - WORTH * abs(before):
                 step /= 2
         return best.logs
+
+    def _first(self, logs: Array) -> tuple[Trial, float] | None:
+        """Return the first trial, in which the loop settles if one does; None if this budget cannot be met."""
+        # It has the draws of all trials, since other draws may cost less by chance. A loop that does not settle in it
+        # does so with no shares, so all trials are longer.
+        for longer in (1, LONGER):
+            self._effort = longer * EFFORT
+            try:
+                return self._scaled(logs)
+            except UnstableError:
+                continue
+            except TaciturnError:
+                return None
+        return None
 
     def _other(self, found: Evaluation) -> float:
         """Return the quantity to be minimised."""
@@ -177,7 +192,7 @@ class Division:
             {self._tuning.name: self._whole(logs), self._name: self._shares(logs, digits=17)}
         )
         stage = self._stage()
-        found = settled(changed, self._tuning.name, self._seed, EFFORT, stage, self._longer)
+        found = settled(changed, self._tuning.name, self._seed, self._effort, stage, self._longer)
         stage(1.0)
         return Trial(logs, found)
 

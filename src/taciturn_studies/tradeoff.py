@@ -1,64 +1,72 @@
-"""Cost against rate of a policy over its parameters, with fair periodic control and the guarantee.
+"""Cost of a policy against its rate for a range of parameters, with fair periodic control and the guarantee.
 
 Each point of a grid is an evaluation (``points``), all with one seed, so that the errors of two points are correlated.
 Its row has the upper bound (the one at the measured rate if every point has it), the cost of fair periodic control at
-the same rate, and, if a confidence is given, the lower bound on every schedule. The figure shows cost against rate for
-each link. Below the lower bounds of all points, max_i (c_i + λ_i (r_i − r)) over rates r, lies the region that no
-schedule reaches; it is drawn if all points have one controller.
+the same rate, and, if a confidence is given, the lower bound on every schedule. If the nodes measure a certificate, the
+row and the figure have it, and also what the theorem promises in advance. A given controller on several links is
+compared with periodic control of the same controller at the same traffic (``periodic_links``). The figure
+(``tradeoff_figure``) shows cost against rate or, for several links, against the traffic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import (
-    HEIGHT,
-    Panel,
     Progress,
-    Series,
     Size,
+    StyleName,
     answered_within,
     draw,
     in_notebook,
+    number_of,
     per_unit,
-    percent,
-    wrapped_text,
+    table_text,
 )
-from taciturn.model.estimate import Estimate
-from taciturn.model.result import SPLICED, Field, Result, Tabular, plain_fields
+from taciturn.model.estimate import Estimate, bound_text
+from taciturn.model.result import SPLICED, VERDICT, Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
+from taciturn.study.evaluate import SURE
 from taciturn.study.evaluation import (
     Evaluation,
     TimeUnit,
     Unit,
     columns_of,
-    percent_above,
+    cost_text,
+    packets_text,
     rate_unit,
+    withdrawn_text,
 )
 from taciturn.study.periodic import ClockKind, ClockPoint, clock_of
 from taciturn.study.record import Store
+from taciturn.study.sentences import (
+    THAN,
+    percent_above,
+    share_of,
+    share_text,
+    together,
+)
+from taciturn_studies.periodic_links import at_same_traffic
 from taciturn_studies.points import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
+from taciturn_studies.tradeoff_figure import panels_of
+from taciturn_studies.tune import tunings_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINE = 200  # points of the boundary of the region that no schedule reaches
-ROOM = 1.25  # top of the figure, as a multiple of the highest extra cost of the policy
-GRAY = 7
+STEP, EACH_WAY = 2.0, 3  # factor between the usual values of a parameter, and their number on either side
 
 
 def tradeoff(
     problem: Studied,
-    over: Mapping[str, Sequence[object]],
+    over: Mapping[str, Sequence[object]] | None = None,
     *,
     seed: int = 0,
     standard_error: float | None = None,
@@ -68,11 +76,12 @@ def tradeoff(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
-    """Return cost against rate of a problem's policy over a grid of its parameters.
+    """Compute the cost and the rate of a problem's policy for all values of a grid of parameters.
 
     Args:
         problem: the problem in which each point changes the named keys.
-        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
+        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid. Default: the
+            present value of the parameter that trades cost for rate, and values up to eight times as large or small.
         seed: seed of the random draws, the same at every point, so the errors of two points are correlated.
         standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
         confidence: confidence of lower bounds on the cost of any scheduling at the measured rates; default: no lower
@@ -92,6 +101,7 @@ def tradeoff(
     with answered_within(time_limit):
         problem = as_problem("problem", problem)
         check_effort(seed, standard_error, None)
+        over = usual_values(problem) if over is None else over
         grid = grid_of(check_grid(over))
         problems = [problem.changed(cell) for cell in grid]
         for changed in problems:
@@ -105,9 +115,37 @@ def tradeoff(
         effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
         kept = None if store is None else Store(store, label_of(problem))
         found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
-        points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
-        unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
-        return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
+        points = [
+            Point(cell, evaluation, at_same_traffic(changed, evaluation))
+            for cell, changed, evaluation in zip(grid, problems, found, strict=True)
+        ]
+        stated = dict.fromkeys(one.statement for one in found if one.statement is not None)
+        return Tradeoff(tuple(points), _curves(problems, points, over), found[0].unit, "; or ".join(stated) or None)
+
+
+def usual_values(problem: Problem) -> dict[str, list[float]]:
+    """Return values around the present value of the tuning parameter at which a policy can be designed."""
+    tunings = tunings_of(problem, None)
+    if not tunings:
+        raise ProblemError(
+            f"the policy kind {problem.kind} has no parameter that changes its rate; expected a key to vary and its "
+            "values (--over or over=)"
+        )
+    tuning = tunings[0]
+    start = tuning.value_in(problem.parameters)
+    around = [tuning.least + (start - tuning.least) * STEP**k for k in range(-EACH_WAY, EACH_WAY + 1)]
+    if tuning.whole:
+        around = [max(int(tuning.least), round(start * STEP**k)) for k in range(-EACH_WAY, EACH_WAY + 1)]
+    found = list[float]()
+    for value in dict.fromkeys(one if one == start or tuning.whole else float(f"{one:.3g}") for one in around):
+        try:
+            problem.changed({tuning.name: value}).designed()
+        except TaciturnError:
+            if value == start:
+                raise
+        else:
+            found.append(value)
+    return {tuning.name: found}
 
 
 def _curves(
@@ -135,25 +173,37 @@ class Point(Result):
     Args:
         values: values of the varied keys.
         evaluation: evaluation of the policy, with fair periodic control at its rate.
+        same_traffic: cost of periodic control of a given controller on several links at the same traffic, with the
+            standard error that the traffic causes; else None.
     """
 
-    FIELDS: ClassVar[tuple[Field[Point], ...]] = (Field("values"), Field("evaluation", key=SPLICED))
+    FIELDS: ClassVar[tuple[Field[Point], ...]] = (
+        Field("values"),
+        Field("evaluation", key=SPLICED),
+        Field("same_traffic", key="cost_periodic_same_traffic", json=Estimate.document, optional=True),
+    )
 
     values: Mapping[str, Any] = field(hash=False)
     evaluation: Evaluation
+    same_traffic: Estimate | None = None
 
     def summary(self) -> Mapping[str, object]:
-        """Return the values of the varied keys, and the cost and rates at these values, by name."""
+        """Return the values of the varied keys and the resulting cost and rates, by name."""
         return {"values": self.values, "cost": self.evaluation.cost, "rates": self.evaluation.rates}
 
     def short(self) -> str:
-        """Return the values of the varied keys."""
+        """Return a text with the values of the varied keys at this point."""
         return ", ".join(f"{name} = {value}" for name, value in self.values.items())
 
     @property
     def cost_periodic_same_rate(self) -> float | None:
-        """Exact cost of fair periodic control, or None if there is none."""
+        """Exact cost of fair periodic control at the same rate; None if that control does not exist."""
         return self.evaluation.cost_periodic_same_rate
+
+    @property
+    def periodic(self) -> Estimate | None:
+        """Cost of periodic control at the same traffic or, with a single link, at the same rate; None if unknown."""
+        return self.evaluation.periodic if self.same_traffic is None else self.same_traffic
 
 
 def _curves_document(curves: Mapping[ClockKind, Sequence[ClockPoint]]) -> dict[str, Any]:
@@ -161,14 +211,50 @@ def _curves_document(curves: Mapping[ClockKind, Sequence[ClockPoint]]) -> dict[s
 
 
 def _every_sample(found: Tradeoff) -> str:
-    first = found.points[0].evaluation
-    pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
-    return f"{first.cost_all_time:.6g}{pace}" if found.one_base else ""
+    """Return the cost of sending every sample, and the packets of all links."""
+    first, links = found.points[0].evaluation, len(found.links)
+    if not found.one_base:
+        return ""
+    if first.base_rate is None:
+        return f"{first.cost_all_time:.6g}"
+    sends = number_of(f"{links * first.base_rate:.4g}", "send")
+    return f"{first.cost_all_time:.6g} at {sends} per {first.rate_unit}{f' on {links} links' if links > 1 else ''}"
+
+
+def _notes(found: Tradeoff) -> Iterator[str]:
+    """Yield the notes, each with the points at which it applies."""
+    for note in dict.fromkeys(note for point in found.points for note in point.evaluation.notes):
+        at = [point.short() for point in found.points if note in point.evaluation.notes]
+        yield note if len(at) == len(found.points) else f"{'; '.join(at)}: {note}"
+    if found.bounded and not found.one_controller:
+        yield "a figure shows no lower bounds: they belong to controllers with different costs"
+
+
+def _verdict(found: Tradeoff) -> Iterator[str]:
+    """Yield the points with the most and the fewest packets, and how many points cost less than periodic control."""
+    listed = sorted(found.points, key=lambda point: -together(point.evaluation.rates).value)
+    sure = [point for point in listed if point.evaluation.settled and not point.evaluation.doubts]
+    ends = [
+        f"{packets_text(one.rates, one)}, {cost_text(one, than)} ({point.short()})"
+        for point, than in zip(sure[:1] + sure[1:][-1:], (THAN, ""), strict=False)
+        for one in (point.evaluation,)
+    ]
+    if ends:
+        yield f"from {' to '.join(ends)}" if len(ends) > 1 else ends[0]
+    timed = [(point.evaluation.cost, one) for point in sure if (one := point.periodic) is not None]
+    if timed:
+        less = [cost.value + SURE * cost.standard_error < one.value for cost, one in timed]
+        same = "traffic" if any(point.same_traffic is not None for point in sure) else "rate"
+        yield f"less cost than periodic control at the same {same} at {sum(less)} of {number_of(len(timed), 'point')}"
+    if len(sure) < len(listed):
+        where = "; ".join(point.short() for point in listed if point not in sure)
+        yield f"no verdict where a note doubts that the simulated cost is an average: {where}"
+    yield from withdrawn_text([point.evaluation for point in listed])
 
 
 @dataclass(frozen=True, repr=False)
 class Tradeoff(Tabular):
-    """Cost against rate of a policy.
+    """Trade-off curve of a policy: its cost against its rate.
 
     Args:
         points: points in the order of the grid.
@@ -176,15 +262,19 @@ class Tradeoff(Tabular):
             and the actuation of the policy; empty if plant, cost or period differ between points.
         unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
             instants"`` or ``"mission"``.
-        guarantee: the theorem that proves the bounds, or None.
+        guarantee: the theorem that proves the bounds, or all of them, or None.
     """
 
     FIELDS: ClassVar[tuple[Field[Tradeoff], ...]] = (
+        VERDICT,
         Field("points"),
         Field("periodic", json=_curves_document),
-        *plain_fields("unit", "rate_unit", "method"),
+        *plain_fields("unit", "rate_unit"),
+        Field("method", say="method", part="method"),
+        Field("seconds", key="", say="time", text="{:.3g} s", part="method"),
         Field("every sample", key="", say="every sample", text=_every_sample),
         Field("guarantee", say="guarantee", text=lambda found: (found.one_base and found.guarantee) or ""),
+        Field("notes", lambda found: tuple(_notes(found)), key="", say="note"),
     )
     heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
 
@@ -194,7 +284,7 @@ class Tradeoff(Tabular):
     guarantee: str | None
 
     def summary(self) -> Mapping[str, object]:
-        """Return the values of the varied keys, and the rates and costs of all points, by name."""
+        """Return the values of the varied keys, and the rates and costs at all points, by name."""
         columns = self.columns()
         names = [*self.points[0].values, *(f"rate_{link}" for link in self.points[0].evaluation.rates), "cost"]
         shown = {name: [one.value if isinstance(one, Estimate) else one for one in columns[name]] for name in names}
@@ -202,8 +292,23 @@ class Tradeoff(Tabular):
 
     @property
     def rate_unit(self) -> TimeUnit:
-        """Unit of time of the rates."""
+        """Unit of time to which the rates refer."""
         return rate_unit(self.unit)
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence about the points with the most and the fewest packets, and how many points beat periodic control."""
+        return tuple(_verdict(self))
+
+    @property
+    def links(self) -> list[str]:
+        """The links on which the policies decide."""
+        return list(dict.fromkeys(link for point in self.points for link in point.evaluation.rates))
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the evaluations."""
+        return sum(point.evaluation.seconds for point in self.points)
 
     @property
     def method(self) -> str:
@@ -212,12 +317,12 @@ class Tradeoff(Tabular):
 
     @property
     def one_controller(self) -> bool:
-        """True if all points have the same sampling rate and cost of sending every sample."""
+        """Whether all points have the same sampling rate and the same cost of sending every sample."""
         return len({(one.evaluation.base_rate, one.evaluation.cost_all_time) for one in self.points}) == 1
 
     @property
     def one_base(self) -> bool:
-        """True if sending every sample has one cost, the same at all points."""
+        """Whether the cost of sending every sample is known and the same at all points."""
         return len(costs := {one.evaluation.cost_all_time for one in self.points}) == 1 and None not in costs
 
     @property
@@ -230,23 +335,47 @@ class Tradeoff(Tabular):
         return self.points
 
     def row_fields(self) -> tuple[Field[Point], ...]:
-        """Return varied values, rates, cost, bounds, and cost of periodic control at the rate of a point."""
+        """Return the columns of the table: varied values, rates, costs, and bounds on the cost."""
         found = [point.evaluation for point in self.points]
-        links = list(dict.fromkeys(link for one in found for link in one.rates))
+        links = self.links
         sharp = "guarantee, this rate" if all(one.cost_bound_at_rate is not None for one in found) else None
-        below, least = "no schedule below" if self._bounded else None, "no_schedule_below"
+        measured = "certificate" if any(one.certificate is not None for one in found) else None
+        timed = any(point.same_traffic is not None for point in self.points)
+        clocked = any(point.periodic is not None for point in self.points)
+        below, least = "no schedule below" if self.bounded else None, "no_schedule_below"
         seen = [one.violations for one in found if one.violations is not None]
 
         def value(name: str) -> Field[Point]:
             return Field(name, lambda p: p.values[name], column=name, say=name, text=lambda p: str(p.values[name]))
 
         def rate(link: str) -> Field[Point]:
-            heading = f"sends per {self.rate_unit}{f', {link}' if len(links) > 1 else ''}"
-            return Field(link, lambda point: point.evaluation.rates.get(link), column=f"rate_{link}", say=heading)
+            heading = None if len(links) > 1 else f"sends per {self.rate_unit}"
+
+            def text(point: Point) -> str:
+                found = point.evaluation.rates.get(link)
+                return "" if found is None else found.rounded()
+
+            return Field(
+                link, lambda one: one.evaluation.rates.get(link), column=f"rate_{link}", say=heading, text=text
+            )
 
         def extra(point: Point) -> str:
             base = point.evaluation.cost_all_time
             return percent_above(point.evaluation.cost, base) if base else ""
+
+        def above(cost: Callable[[Point], Estimate | float | None], up: int = 0) -> Callable[[Point], str]:
+            """Return a function that formats a cost or bound, relative to the cost of every sample if that is known."""
+
+            def text(point: Point) -> str:
+                found, base = cost(point), point.evaluation.cost_all_time
+                if found is None:
+                    return "none"
+                known = found if isinstance(found, Estimate) else Estimate(found, 0.0, "exact")
+                if not base or base <= 0:
+                    return bound_text(known, up) if up else known.rounded(6)
+                return percent_above(known, point.evaluation.highest_all_time if up > 0 else base, up)
+
+            return text
 
         def violation(name: str) -> Field[Point]:
             heading = {"violation": "violation per step", "violation_within": f"within {seen[0].window}"}.get(name)
@@ -260,12 +389,45 @@ class Tradeoff(Tabular):
         return (
             *map(value, self.points[0].values),
             *map(rate, links),
+            Field("share", say="of the packets" if len(links) > 1 else None, text=lambda one: _share(one, links)),
             Field("cost", "evaluation.cost", column="cost", say=f"cost {per_unit(self.unit)}"),
             Field("extra", say="extra cost", text=extra),
-            Field("guarantee", "evaluation.cost_bound", column="guarantee", say=None if sharp else "guarantee", up=1),
-            Field("guarantee_at_rate", "evaluation.guarantee_at_rate", column="guarantee_at_rate", say=sharp, up=1),
             Field(
-                "periodic", "evaluation.periodic", column="periodic_same_rate", say="periodic, same rate", none="none"
+                "guarantee",
+                "evaluation.cost_bound",
+                column="guarantee",
+                say=None if sharp or not any(one.cost_bound for one in found) else "guarantee",
+                text=above(lambda point: point.evaluation.cost_bound, 1),
+                up=1,
+            ),
+            Field(
+                "guarantee_at_rate",
+                "evaluation.guarantee_at_rate",
+                column="guarantee_at_rate",
+                say=sharp,
+                text=above(lambda point: point.evaluation.guarantee_at_rate, 1),
+                up=1,
+            ),
+            Field(
+                "measured bound",
+                "evaluation.certificate",
+                key="",
+                say=measured,
+                text=above(lambda point: point.evaluation.certificate, 1),
+            ),
+            Field(
+                "periodic",
+                "evaluation.periodic",
+                column="periodic_same_rate",
+                say="periodic, same rate" if clocked and not timed else None,
+                text=above(lambda point: point.evaluation.periodic),
+            ),
+            Field(
+                "same_traffic",
+                key="",
+                column="periodic_same_traffic" if timed else "",
+                say="periodic, same traffic" if timed else None,
+                text=above(lambda point: point.same_traffic),
             ),
             Field(
                 "lowest",
@@ -273,99 +435,46 @@ class Tradeoff(Tabular):
                 optional=True,
                 column=least,
                 say=below,
-                text="{:.6g}",
-                none="none",
+                text=above(lambda point: None if (one := point.evaluation.lower_bound) is None else one.cost, -1),
                 up=-1,
             ),
             *map(violation, dict.fromkeys(name for one in seen for name in one.records())),
             *columns_of(lambda point: point.evaluation),
         )
 
+    def table_texts(self) -> Sequence[str]:
+        """Return the table of points and, for several links, the table of each link's share of the packets."""
+        if len(self.links) < 2:
+            return (self.table(),)
+        rows = [[link, *(_share(point, [link]) for point in self.points)] for link in self.links]
+        return (self.table(), table_text(["of the packets", *(point.short() for point in self.points)], rows, 1))
+
     @property
-    def _bounded(self) -> bool:
+    def bounded(self) -> bool:
+        """Whether at least one point has a lower bound on the cost."""
         return any(point.evaluation.lower_bound is not None for point in self.points)
 
-    def remarks(self) -> Iterator[str]:
-        """Yield the notes, each with the points at which it applies."""
-        for note in dict.fromkeys(note for point in self.points for note in point.evaluation.notes):
-            at = [point.short() for point in self.points if note in point.evaluation.notes]
-            yield wrapped_text(note if len(at) == len(self.points) else f"{'; '.join(at)}: {note}")
-        if self._bounded and not self.one_controller:
-            yield wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs")
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the cost against the rate of a single link, or against the traffic of several links.
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of cost against the rate of each link.
-
-        It shows the policy, its guarantee (the one at the measured rate, if there is one), periodic control, and the
-        cost of sending every sample.
+        The figure shows the policy, its guarantee (the guarantee at the measured rate, if there is one), the
+        certificate that its nodes measure, periodic control, and the cost of sending every sample. For several links, a
+        strip below shows the share of each link in the traffic.
 
         Args:
-            ax: existing axes to draw in instead of a new figure, one for each link.
+            ax: existing axes to draw in instead of a new figure: one, or for several links two, one above the other.
             figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
-        links = list(self.points[0].evaluation.rates)
-        panels = [self._panel(link, f"of the {link} link " if len(links) > 1 else "") for link in links]
-        return draw(panels, ax, figsize, height=HEIGHT * len(panels))
+        return draw(panels_of(self), ax, figsize, style)
 
-    def _panel(self, link: str, named: str) -> Panel:
-        series: list[Series] = []
-        families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
-        cells = [point.values for point in self.points]
-        names = list(cells[0])  # points are connected along the first key with numerical values
-        lead = next((n for n in names if all(isinstance(cell[n], int | float) for cell in cells)), names[0])
-        for point in self.points:
-            families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
-        for index, (family, points) in enumerate(families.items()):
-            found = sorted((point.evaluation for point in points), key=lambda one: one.rates[link].value)
-            words = [value if isinstance(value, str) else f"{key} = {value}" for key, value in family]
-            label = ", ".join([found[0].policy, *words])
-            x, y = [one.rates[link].value for one in found], [one.cost.value for one in found]
-            series.append(Series(x, y, label, error=[one.cost.standard_error for one in found], color=index))
-            bounds = [one.cost_bound if one.cost_bound_at_rate is None else one.cost_bound_at_rate for one in found]
-            inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None]
-            if len(inside) > 1:
-                proved = "" if len(families) > 1 else "guarantee"
-                series.append(Series([a for a, _ in inside], [b for _, b in inside], proved, "dotted", color=index))
-        for kind, curve in self.periodic.items():
-            style = "dashed" if len(self.periodic) == 1 or kind == "hold" else "line"
-            x, y = [p.rate for p in curve], [p.cost for p in curve]
-            series.append(Series(x, y, f"periodic control, {kind}", style, color=GRAY))
-        series += self._every_sample() + self._impossible()
-        title = "dotted: guarantee" if any(s.style == "dotted" and not s.label for s in series) else ""
-        return Panel(
-            series, f"sends {named}per {self.rate_unit}", f"cost {per_unit(self.unit)}", title, ylim=self._limits()
-        )
 
-    def _limits(self) -> tuple[float, float]:
-        """Return the cost limits of the figure, from the policy only, so that a large bound does not compress it."""
-        costs = [point.evaluation.cost.value for point in self.points]
-        bases = [one.evaluation.cost_all_time for one in self.points if one.evaluation.cost_all_time is not None]
-        low, high = min([*costs, *bases]), max(costs)
-        spread = (high - low) or abs(high) or 1.0
-        return low - 0.05 * spread, low + ROOM * spread
-
-    def _every_sample(self) -> list[Series]:
-        """Return the line of sending every sample, if its cost is the same for all points."""
-        found = [point.evaluation for point in self.points]
-        if found[0].cost_all_time is None or len({one.cost_all_time for one in found}) > 1:
-            return []
-        rates = [rate.value for one in found for rate in one.rates.values()]
-        most = max([*rates, *(p.rate for curve in self.periodic.values() for p in curve)])
-        return [Series([min(rates), most], [found[0].cost_all_time] * 2, "sending every sample", color=2)]
-
-    def _impossible(self) -> list[Series]:
-        """Return the region that no schedule reaches: below the lines of the lower bounds of all points."""
-        found = [point.evaluation for point in self.points]
-        bounds = [one.lower_bound for one in found if one.lower_bound is not None]
-        pace, base = found[0].base_rate, found[0].cost_all_time
-        if not bounds or not self.one_controller or pace is None or base is None:
-            return []
-        rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
-        lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
-        sure = percent(min(one.confidence for one in bounds))
-        return [
-            Series([pace * rate for rate in rates], lowest, f"no schedule of this controller, {sure} sure", "below")
-        ]
+def _share(point: Point, links: Sequence[str]) -> str:
+    """Return the share of the packets of some links; the rates if packets may be sent at any time."""
+    found = point.evaluation
+    rates = {link: found.rates[link] for link in links if link in found.rates}
+    share = share_of(rates, found.base_rate)
+    return ", ".join(f"{rate.value:.4g}" for rate in rates.values()) if share is None else share_text(share)
 
 
 def _rate(point: Point) -> float:

@@ -1,4 +1,4 @@
-"""Tuning: the parameter with which a policy meets a budget of rate, traffic, cost, or violation of limits.
+"""Tuning: find the parameter at which a policy meets a budget for rate, traffic, cost, or violation of limits.
 
 ``tune`` brackets the budget along the tuning parameter of the policy kind, closes in on it with common random draws
 (``search``), and then measures the answer more precisely and corrects it, until it is at least two standard errors
@@ -15,31 +15,54 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
-from taciturn.extend import Progress, Stages, answered_within, in_notebook, number, pairs_text, percent
+from taciturn.extend import (
+    HEIGHT,
+    Level,
+    Panel,
+    Progress,
+    Series,
+    Size,
+    Stages,
+    StyleName,
+    answered_within,
+    draw,
+    in_notebook,
+    number,
+    number_of,
+    per_unit,
+    percent,
+)
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.result import SPLICED, Field, Result, Tabular
+from taciturn.model.result import SPLICED, VERDICT, Field, Part, Result, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluate import evaluate, with_violations, with_written
-from taciturn.study.evaluation import Evaluation, shares_text
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.measure import Request
 from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
+from taciturn.study.sentences import percent_above, shares_text
 from taciturn_studies.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
-from taciturn_studies.search import Search
+from taciturn_studies.search import Attempt, Search
 from taciturn_studies.shares import Division
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HALF = 0.55 * HEIGHT  # of one of two panels
+WIDE = 10.0  # ratio of the largest and the smallest value above which the axis of the values is logarithmic
 DIVIDED = 0.7  # share of the progress in which the shares are tuned
 FASTER = 2.0  # from one period to the next
 ENOUGH = 0.01  # share of the excess over the cost of sending every sample: a smaller gain ends the search
 MOST = 20  # periods
+SUREST = 0.999  # confidence beyond which errors are hardly normal, and of which no more is told
 LEFT = 0.7  # share of the remaining progress that a period leaves; their number is not known in advance
 
 
@@ -56,19 +79,19 @@ def tune(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
+    """Find the parameter value at which a policy meets a budget for its rate, traffic, cost or violation.
 
-    The parameter is the tuning parameter of the policy kind. If rate or cost are not monotone in it, the answer is the
-    largest value found at which they cross the budget in the usual direction. All trials of the search use the same
-    draws. The answer is then measured more precisely and corrected, until it is at least two
+    The parameter is the tuning parameter of the policy kind. If rate or cost is not monotone in the parameter, the
+    answer is the largest value found at which it crosses the budget in the usual direction. All trials of the search
+    use the same random numbers. The answer is then measured more precisely and corrected, until it is at least two
     standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
     policy on the side of the jump that meets the budget. A budget that is exceeded by at most 1e-9 of it counts as met,
     since costs and rates have rounding errors of this size.
 
     If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
     states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given
-    rates. Links without a given rate then send every sample, as this costs least. For a cost or a traffic, shares with
-    which the loop does not settle in a short trial are left out.
+    rates. Links without a given rate then send every sample, because this costs least. For a cost or a traffic, the
+    search skips shares for which the loop does not settle in a short trial.
 
     Args:
         problem: the problem whose policy is tuned; the search starts at its value of the parameter.
@@ -121,8 +144,8 @@ def tune(
         return found if problem.limits is None else _limited(found, problem.limits, seed)
 
 
-def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
-    """Return the tuning parameter for the rate of a link."""
+def tunings_of(problem: Problem, link: str | None) -> list[TradeoffParameter]:
+    """Return the tuning parameters for one link's rate, or every link's; parameters set in the problem come first."""
     continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
     tunings = [
         tuning
@@ -130,19 +153,27 @@ def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
         if tuning.continuous in (None, continuous)
         and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
     ]
+    tunings = [tuning for tuning in tunings if tuning.name in given] or tunings[:1]
+    return tunings[:1] if all(tuning.link is None for tuning in tunings) else tunings
+
+
+def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
+    """Return the tuning parameter for the rate of a link."""
+    tunings = tunings_of(problem, link)
     if not tunings and (links := sorted({one.link for one in problem.record.tuning if one.link is not None})):
         raise ProblemError(
-            f"link is {link!r}, for which {problem.kind} has no parameter; expected {' or '.join(links)}"
+            f"link is {link!r}, but the policy kind {problem.kind} has no parameter for this link; expected the link "
+            f"{' or '.join(links)}"
         )
-    tunings = [tuning for tuning in tunings if tuning.name in given] or tunings[:1]
-    if len(tunings) > 1 and all(tuning.link is None for tuning in tunings):
-        tunings = tunings[:1]
     if len(tunings) > 1:
         raise ProblemError(
-            f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
+            f"the policy kind {problem.kind} has tuning parameters for two links; expected the option 'link' with one "
+            f"of {[k.link for k in tunings]}"
         )
     if not tunings:
-        raise ProblemError(f"{problem.kind} has no parameter that changes this rate; expected {problem.record.remedy}")
+        raise ProblemError(
+            f"the policy kind {problem.kind} has no parameter that changes this rate; expected {problem.record.remedy}"
+        )
     return tunings[0]
 
 
@@ -151,17 +182,22 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
     given = {name: budget for name, budget in budgets.items() if budget is not None}
     if len(given) != 1:
         got = " and ".join(given) + " are given" if given else "none of rate, cost, traffic and violation is given"
-        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost, traffic or violation")
+        raise ProblemError(
+            f"tuning needs one budget, but {got}; expected exactly one budget: rate, cost, traffic or violation, for "
+            "example a rate of 50%, or a cost of +5% compared with sending every sample"
+        )
     ((name, budget),) = given.items()
     if name == "violation":
         if problem.limits is None:
             raise ProblemError(
-                "violation is given for a problem without limits of its states; expected limits, as [limits] in a file"
+                "violation is given for a problem without state limits; expected state limits, as [limits] in a file"
             )
         return ViolationGoal(number("violation", budget, 0.0, 1.0), link or tuning.link)
     if isinstance(budget, Mapping):
         if link is not None or not budget:
-            raise ProblemError(f"rate is {budget!r} and link is {link!r}; expected rates by link, and no link")
+            raise ProblemError(
+                f"rate is {budget!r} and link is {link!r}; expected a rate for each link, without the option 'link'"
+            )
         limits = cast("Mapping[str, object]", budget)
         return RatesGoal(limits={one: budget_of(problem, tuning, "rate", limit) for one, limit in limits.items()})
     limit = budget_of(problem, tuning, name, budget)
@@ -201,6 +237,12 @@ def _found(
         and (cycles := _next_to(problem, tuning, goal, search)) is not None
     ):
         return cycles
+    found = _closed_in(search, tuning)
+    return replace(found, tried=search.tried())
+
+
+def _closed_in(search: Search, tuning: TradeoffParameter) -> Tuned:
+    """Return the value of a parameter that a search finds."""
     low, high = search.bracket()
     if not tuning.whole:
         low, high, error, slope = search.refine(*search.close_in(low, high))
@@ -268,7 +310,7 @@ def tune_period(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> TunedPeriod:
-    """Return the period and the parameter with which a policy sends at a rate and costs least.
+    """Find the sampling period and the policy parameter that give the least cost at a given send rate.
 
     The theorem of ``consistent`` relates δ to the period τ. At an equal rate, more frequent checks with a larger
     threshold cost less. So τ is halved, and δ is determined again from the exact rate, until a halving reduces the
@@ -303,20 +345,21 @@ def tune_period(
         period = problem.parameters.get("period")
         if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
             raise ProblemError(
-                f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period"
+                f"the policy kind {problem.kind} has no period to tune here; expected a continuous plant and "
+                "policy.period"
             )
         if not has_average(problem.plant, problem.cost):
             raise ProblemError(
-                "the cost is that at the sampling instants, because the disturbances change the input that they need "
-                "between samples and grow without limit, so costs of several periods cannot be compared; expected "
+                "the cost counts only the sampling instants, because the disturbances grow without limit and require "
+                "an input that changes between samples, so the costs of several periods cannot be compared; expected "
                 "disturbances that are constant or decay, or a given period"
             )
         rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
         period = min(float(period), 1 / (FASTER * rate))
         if period < least:
             raise ProblemError(
-                f"the least period is {least:g} s, but at {rate:g} sends per second the search starts from at most "
-                f"{period:g} s; expected a shorter least period, or a lower rate"
+                f"the least period is {least:g} s, but at {number_of(f'{rate:g}', 'send')} per second the search "
+                f"starts from at most {period:g} s; expected a shorter least period, or a lower rate"
             )
         tried: list[Tuned] = []
         parameters = dict(problem.parameters)
@@ -337,7 +380,7 @@ def tune_period(
 
 
 def _gains(before: Tuned, after: Tuned) -> bool:
-    """Return whether the last halving of the period gained enough to try another one."""
+    """Return whether the last halving of the period lowered the cost enough to halve it again."""
     cost, base = after.evaluation.cost, after.evaluation.cost_all_time
     above = cost.value - (0.0 if base is None else base)
     return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)
@@ -345,7 +388,7 @@ def _gains(before: Tuned, after: Tuned) -> bool:
 
 @dataclass(frozen=True, repr=False)
 class Parameter(Result):
-    """A tuned parameter with its standard error.
+    """A tuned parameter of a policy, with its standard error.
 
     Args:
         name: key of ``[policy]``.
@@ -358,7 +401,7 @@ class Parameter(Result):
     standard_error: float | None
 
     def short(self) -> str:
-        """Return the name and the value of the parameter as text."""
+        """Return a text with the parameter's name and value."""
         return f"{self.name} = {self}"
 
     def __str__(self) -> str:
@@ -368,7 +411,7 @@ class Parameter(Result):
         return str(Estimate(self.value, self.standard_error or 0.0, "simulation"))
 
     def beside(self, other: Parameter | None) -> str:
-        """Return the value with enough digits to distinguish it from another value, if one is given."""
+        """Format the value with enough digits to tell it from another value, if one is given."""
         if isinstance(self.value, tuple):
             return str(self)
         alike = other is not None and not isinstance(other.value, tuple) and f"{other.value:.6g}" == f"{self.value:.6g}"
@@ -400,7 +443,7 @@ def _beyond_text(found: Tuned) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tuned(Tabular):
-    """A policy that meets a budget.
+    """A policy whose parameter is tuned to meet a budget.
 
     Args:
         goal: the budget.
@@ -411,13 +454,16 @@ class Tuned(Tabular):
         slope: derivative of the cost with respect to the rate (or the traffic) at the budget, along the parameter; None
             at a jump.
         shares: tuned shares of the links, by name of the parameter that contains them; None if they were not tuned.
+        tried: what the search has tried, by value; empty if the answer needs no search.
     """
 
     FIELDS: ClassVar[tuple[Field[Tuned], ...]] = (
         Field("parameter", say="", text=lambda found: [(found.parameter.name, str(found.parameter))]),
         Field("budget", "budget", say="budget", text=lambda found: _budget_text(found)),
         Field("evaluation", key=SPLICED),
+        VERDICT,
         Field("shares", optional=True, say="shares", text=_shares, after="parameter"),
+        Field("tried", optional=True),
         Field("beyond", optional=True, json=_beyond, say="beyond", text=lambda found: _beyond_text(found)),
     )
 
@@ -428,64 +474,129 @@ class Tuned(Tabular):
     beyond: Tuned | None
     slope: float | None
     shares: Mapping[str, float] | None = None
+    tried: tuple[Attempt, ...] = ()
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that states the tuned parameter and the budget, followed by the verdict of the evaluation."""
+        return (f"{self.parameter.name} = {self.parameter.beside(None)}: {_kept(self)}", *self.evaluation.verdict)
 
     @property
     def confidence(self) -> float | None:
-        """Confidence with which the budget is met, by the errors of the evaluation; 1 if the evaluation is exact.
+        """Confidence that the budget is met, in view of the evaluation's errors; 1 if the evaluation is exact.
 
-        It is None if the standard error cannot be trusted, as the notes of the evaluation state.
+        The confidence is None if the standard error cannot be trusted; the notes of the evaluation then say so.
         """
         return self.goal.confidence(self.evaluation)
 
     @property
     def budget(self) -> dict[str, object]:
-        """The budget with its level, and the confidence with which the policy meets it."""
+        """The limited quantity, its limit, and the confidence that the policy meets the limit."""
         return {"of": self.goal.name, "at_most": self.goal.document, "confidence": self.confidence}
 
     def summary(self) -> Mapping[str, object]:
-        """Return the parameter, the budget, and the cost and rates at this parameter by name."""
+        """Return the parameter, the budget, and the resulting cost and rates, by name."""
         found = self.evaluation
         values = {"policy": found.policy, "parameter": self.parameter, "shares": self.shares, "goal": self.goal}
         return {**values, "cost": found.cost, "rates": found.rates, "beyond": self.beyond, "slope": self.slope}
 
     def about(self) -> dict[str, object]:
-        """Return the parameter, the budget and the description of the evaluation, by name."""
+        """Return the parameter, the budget, and data about the evaluation, by name."""
         shares = {} if self.shares is None else {"shares": shares_text(self.shares)}
         return {"parameter": self.parameter.short(), **shares, "budget": _budget_text(self), **self.evaluation.about()}
 
     def table_rows(self) -> Sequence[Any]:
-        """Return the rows of the evaluation at the tuned parameter."""
+        """Return the rows of the evaluation's table, at the tuned parameter."""
         return self.evaluation.table_rows()
 
     def row_fields(self) -> tuple[Field[Any], ...]:
-        """Return the fields of these rows."""
+        """Return the columns of the table, which are the columns of the evaluation."""
         return self.evaluation.row_fields()
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn tune`` prints."""
-        return f"{pairs_text(self.lines())}\n{self.evaluation}"
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the limited quantity and the cost for each value that the search tried, with the budget and the result.
+
+        If no search was needed, the figure is that of the evaluation.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure: two, one above the other.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+        """
+        value, found = self.parameter.value, self.evaluation
+        if isinstance(value, tuple) or not self.tried:
+            return found.plot(ax, figsize, style)
+        values = [one.value for one in self.tried]
+        wide = min(*values, value) > 0 and max(values) > WIDE * min(values)
+        if self.goal.limits_cost:
+            other, there = [one.used for one in self.tried], self.goal.use(found)
+            label = f"{'sends' if len(found.rates) == 1 else 'traffic'} per {found.rate_unit}"
+        else:
+            other, there, label = [one.cost for one in self.tried], found.cost, f"cost {per_unit(found.unit)}"
+        limited = [
+            _searched(values, [one.limited for one in self.tried], "tried"),
+            _answer(value, self.goal.of(found), "answer"),
+        ]
+        name, title = self.goal.axis(found), f"{self.parameter.name} = {self.parameter}"
+        every = (
+            [] if self.goal.limits_cost or found.cost_all_time is None else [Level(found.cost_all_time, "every sample")]
+        )
+        panels = (
+            Panel(limited, "", name, title, levels=[Level(self.goal.budget, "budget", "threshold")]),
+            Panel([_searched(values, other), _answer(value, there)], self.parameter.name, label, levels=every),
+        )
+        return draw([replace(one, xlog=wide, height=HALF) for one in panels], ax, figsize, style)
+
+    def table_texts(self) -> Sequence[str]:
+        """Return the tables of the evaluation at the tuned parameter."""
+        return self.evaluation.table_texts()
+
+    def lines(self, part: Part = "details") -> list[tuple[str, str]]:
+        """Return the lines of one part of the text: parameter and budget, then the lines of the evaluation."""
+        return super().lines(part) + ([] if part == "verdict" else self.evaluation.lines(part))
+
+
+def _searched(values: Sequence[float], found: Sequence[Estimate], label: str = "") -> Series:
+    """Return the curve of the values that a search has tried."""
+    errors = [one.standard_error for one in found]
+    return Series(values, [one.value for one in found], label, error=errors, thing="trigger", faint=True)
+
+
+def _answer(value: float, found: Estimate, label: str = "") -> Series:
+    """Return the point of the answer."""
+    return Series([value], [found.value], label, "points", [found.standard_error], "policy")
 
 
 def _budget_text(found: Tuned) -> str:
-    """Return a text that states whether the budget is met, and with which confidence."""
-    sure = found.confidence
-    if sure is None:
-        kept = "met in this simulation, whose standard error cannot be trusted"
-    else:
-        over = found.goal.of(found.evaluation).value > found.goal.budget
-        exactly = f"met up to a rounding error of {EXACT:g} of it" if over else "met exactly"
-        kept = exactly if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
+    """Return a text that states whether the budget is met, with which confidence, and for which plant."""
     written = found.evaluation.as_written
     where = "" if written is None else ", for the plant with the disturbance that is added by default"
     if written is not None and found.goal.limits_cost:
         where += f"; on the plant as written, the cost is {written.cost}"
-        where += "" if not written.cost_all_time else f", {written.extra()} relative to sending every sample"
-    return f"{found.goal.text(found.evaluation)}, {kept}{where}"
+        base = written.cost_all_time
+        where += f", {percent_above(written.cost, base)} relative to every sample" if base else ""
+    return f"{_kept(found)}{where}"
+
+
+def _kept(found: Tuned) -> str:
+    """Return the budget, and with which confidence it is met."""
+    sure = found.confidence
+    if sure is None:
+        kept = "met in this simulation, whose standard error cannot be trusted"
+    else:
+        limited, most = found.goal.of(found.evaluation), found.goal.most(found.evaluation)
+        over = limited.value > found.goal.budget
+        exactly = f"met up to a rounding error of {EXACT:g} of it" if over else "met exactly"
+        exact = limited.standard_error <= EXACT * found.goal.budget
+        known = exact or (most is not None and found.goal.budget >= most)
+        share = min(math.floor(1000 * sure) / 1000, SUREST)
+        kept = exactly if sure == 1 and known else f"met with {percent(share)} confidence"
+    return f"{found.goal.text(found.evaluation)}, {kept}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TunedPeriod(Tabular):
-    """The period of the checks and the parameter that meet a rate at the least cost.
+    """The sampling period and the policy parameter that give the least cost at a given rate.
 
     Args:
         best: the result with the least cost.
@@ -495,18 +606,25 @@ class TunedPeriod(Tabular):
     FIELDS: ClassVar[tuple[Field[TunedPeriod], ...]] = (
         Field("period", lambda found: _period(found.best), say="period", text="{:g}"),
         Field("best", key=SPLICED),
+        VERDICT,
         Field("periods", lambda found: found.row_documents()),
     )
 
     best: Tuned
     tried: tuple[Tuned, ...]
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that states the best period, followed by the verdict for this period."""
+        first, *others = self.best.verdict
+        return (f"period = {_period(self.best):g} s, {first}", *others)
+
     def table_rows(self) -> Sequence[Tuned]:
-        """Return the results, one per period."""
+        """Return the rows of the table, one for each period."""
         return self.tried
 
     def row_fields(self) -> tuple[Field[Tuned], ...]:
-        """Return the period, the parameter, the cost, and whether the policy is consistent."""
+        """Return the columns of the table: period, parameter, cost, and consistency (at most periodic cost)."""
         name = self.best.parameter.name
         return (
             Field("period", _period, column="period", say="period", text="{:g}"),
@@ -516,10 +634,29 @@ class TunedPeriod(Tabular):
             Field("consistency", "evaluation.consistency", column="consistency", say="consistent"),
         )
 
-    def remarks(self) -> Sequence[str]:
-        """Return the text of the best result."""
-        return [str(self.best)]
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the cost for each sampling period, at the same send rate."""
+        periods = [_period(one) for one in self.tried]
+        found = [one.evaluation for one in self.tried]
+        costs, base = [one.cost.value for one in found], [one.cost_all_time for one in found]
+        errors, name = [one.cost.standard_error for one in found], self.best.parameter.name
+        notes = [f"{name} = {one.parameter.beside(None)}" for one in self.tried]
+        series = [Series(periods, costs, self.best.evaluation.policy, error=errors, thing="policy", notes=notes)]
+        every = [(x, y) for x, y in zip(periods, base, strict=True) if y is not None]
+        if every:
+            series.append(Series([x for x, _ in every], [y for _, y in every], "every sample", thing="every sample"))
+        per = per_unit(self.best.evaluation.unit)
+        title = f"least cost at a period of {_period(self.best):g} s"
+        return draw([Panel(series, "period (s)", f"cost {per}", title, xlog=len(periods) > 1)], ax, figsize, style)
+
+    def table_texts(self) -> Sequence[str]:
+        """Return the table of all periods, and the tables of the evaluation at the best period."""
+        return (self.table(), *self.best.table_texts())
+
+    def lines(self, part: Part = "details") -> list[tuple[str, str]]:
+        """Return the lines of one part of the text: the best period, then the lines of its result."""
+        return super().lines(part) + ([] if part == "verdict" else self.best.lines(part))
 
 
-def _period(found: Tuned) -> object:
-    return found.problem.parameters["period"]
+def _period(found: Tuned) -> float:
+    return float(cast("float", found.problem.parameters["period"]))

@@ -1,4 +1,4 @@
-"""Executors for many similar tasks: processes of this machine, workers of a dask cluster, or any other executor.
+"""Executors of many similar tasks: processes on this machine, workers of a dask cluster, or other executors.
 
 ``processes`` provides a pool of processes, ``answer_all`` the answers of any executor in the order of the tasks.
 Workers run one thread each, end with their parent process, and answer only if they run the code of the process that
@@ -48,7 +48,7 @@ MOST_ON_WINDOWS = 61  # largest number of processes that Windows can wait for
 
 @dataclass(frozen=True, repr=False)
 class Code(Displayed):
-    """The version of taciturn that a process runs, and the digest of its sources."""
+    """The version of Taciturn in a process, and the digest of its source files."""
 
     version: str  # version of taciturn
     digest: str  # digest of the sources of the package
@@ -56,7 +56,7 @@ class Code(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Report(Displayed, Generic[Answer]):
-    """The answer of a worker to a task, with the name of the worker and its code."""
+    """A worker's answer to a task, with the worker's name and the version of its code."""
 
     worker: str  # machine and process
     code: Code  # code that the process runs
@@ -65,7 +65,7 @@ class Report(Displayed, Generic[Answer]):
 
 @contextmanager
 def processes(workers: int | None) -> Generator[Executor | None]:
-    """Provide a pool of worker processes, or None for one worker, because this process then uses its threads."""
+    """Provide a pool of worker processes; None for one worker, because this process then uses several threads."""
     if (workers := workers or available_processors()) == 1:
         yield None
         return
@@ -89,7 +89,7 @@ def processes(workers: int | None) -> Generator[Executor | None]:
 def answer_all(
     executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
 ) -> list[Answer]:
-    """Return the answers to some jobs, in their order; the first exception ends the computation."""
+    """Compute the answers to jobs, in the order of the jobs; the first exception ends the computation."""
     found: list[Answer] = []
     if executor is not None:
         refuse_other_versions(executor, workers_of(executor))
@@ -103,7 +103,7 @@ def answer_all(
             progress((k + 1) / len(jobs))
     except BrokenExecutor as error:
         raise ProblemError(
-            f"the executor failed after {len(found)} of {len(jobs)} answers ({error}); expected workers that stay "
+            f"the executor failed after {len(found)} of {len(jobs)} results ({error}); expected workers that stay "
             "alive and can import taciturn: use fewer workers, or none"
         ) from error
     except Exception as error:
@@ -117,7 +117,7 @@ def answer_all(
 
 
 def workers_of(executor: Executor) -> int:
-    """Return the number of tasks that an executor runs at a time, as far as it is known."""
+    """Return how many tasks an executor runs in parallel, or an estimate."""
     for name in ("num_workers", "_max_workers"):  # mpi4py's; the standard library's
         known: Any = getattr(executor, name, None)
         if isinstance(known, int) and known > 0:
@@ -129,18 +129,18 @@ def workers_of(executor: Executor) -> int:
 
 
 def deserted(executor: Executor) -> str | None:
-    """Return the address of an executor's dask scheduler if this scheduler has no workers, else None."""
+    """Return the address of the executor's dask scheduler if it has no workers; otherwise None."""
     client: Any = getattr(executor, "_client", None)
     return None if client is None or client.nthreads() else str(client.scheduler.address)
 
 
 def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
-    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal."""
+    """Submit a task to a worker, which computes the answer only if its code is that of this process."""
     return executor.submit(_report, own_code(), ask, *given)
 
 
 def accepted(report: Report[Answer]) -> Answer:
-    """Return the answer in the report of a worker, if the worker runs the same code as this process."""
+    """Return the answer in a worker's report; raise an error if the worker's code differs from this process's."""
     own = own_code()
     if report.code != own:
         raise ProblemError(_refusal(report.worker, report.code, own))
@@ -149,12 +149,12 @@ def accepted(report: Report[Answer]) -> Answer:
 
 @cache
 def own_code() -> Code:
-    """Return version and digest of the code of this process, which is read once."""
+    """Return the version and the digest of this process's code; the files are read only once."""
     return code_of(Path(taciturn.__file__).parent.parent, taciturn.__version__)
 
 
 def code_of(folder: Path, version: str) -> Code:
-    """Return a version and a digest of the names and texts of all Python files of the packages in a folder."""
+    """Return the given version with the digest of all Python files of the packages in a folder."""
     read = hashlib.sha256()
     for path in sorted(folder.glob("taciturn*/**/*.py"), key=lambda path: path.relative_to(folder).as_posix()):
         text = path.read_bytes().replace(b"\r\n", b"\n")  # as a checkout on Windows may have
@@ -185,7 +185,7 @@ def _refusal(worker: str, code: Code, own: Code) -> str:
 
 
 def refuse_other_versions(executor: Executor, workers: int, error: BaseException | None = None) -> None:
-    """Raise an error if a worker runs another version of taciturn than this process.
+    """Raise an error if the code of a worker differs from the code of this process.
 
     This is done on dask before the first task, because a worker of dask shuts down if it cannot import a task, and on
     any executor after a task failed. The question is a function of the standard library, so every version answers.

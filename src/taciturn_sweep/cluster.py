@@ -16,7 +16,7 @@ PATIENCE = 5.0  # seconds
 
 @contextmanager
 def dask_workers(address: str) -> Generator[Executor]:
-    """Provide an executor on the workers of a dask scheduler; the workers must have taciturn installed."""
+    """Provide an executor on the workers of a dask scheduler; each worker needs an installed Taciturn."""
     try:
         distributed: Any = import_module("distributed")
     except ImportError:

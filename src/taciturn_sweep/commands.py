@@ -15,15 +15,19 @@ from taciturn.cli.frame import (
     GivenSeed,
     NoFunctions,
     Over,
+    PictureStyle,
+    Plot,
     Settings,
     StandardError,
     Steps,
     TimeLimit,
+    Verbose,
     app,
     load_changed,
     note_seed,
     progress_bar,
     refuse,
+    save_picture,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +42,8 @@ def sweep(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Folder for the results, so that an interrupted run can continue. DIR/result.nc contains all results.",
+            help="Folder in which results are stored, so that an interrupted run can continue. DIR/result.nc "
+            "contains all results.",
         ),
     ],
     settings: Settings = None,
@@ -51,6 +56,9 @@ def sweep(
     table: Annotated[
         Path | None, typer.Option(metavar="OUT", help="Also write the result as a table: .csv or .parquet.")
     ] = None,
+    verbose: Verbose = False,
+    plot: Plot = None,
+    style: PictureStyle = None,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     steps: Steps = None,
@@ -59,7 +67,7 @@ def sweep(
     ] = None,
     time: TimeLimit = None,
 ) -> None:
-    """Evaluate a grid of problems on many processors, and store each result when it is finished."""
+    """Evaluate a problem on a grid of parameter values with many processors, and store each finished result."""
     import taciturn
     from taciturn.extend import answered_within, remark
     from taciturn.model.result import check_table, save_table
@@ -97,12 +105,13 @@ def sweep(
     if note:
         print(f"taciturn: {note}", file=sys.stderr)
     cells = SweepTable(found)
-    typer.echo(cells)
+    typer.echo(cells.text(verbose))
     if written:
         typer.echo(f"result: {result}")
     if table is not None:
         save_table(cells.to_pandas(), table)
         typer.echo(f"table: {table}")
+    save_picture(cells, plot, style, False, problem, seed or 0)
     missed = ~found.reached & (found.refusal == "")
     if missed.any():
         refuse(_missed(found, missed.values, steps))

@@ -1,4 +1,4 @@
-"""Sweeps: evaluations of a problem over a grid of its values, as labelled arrays.
+"""Sweeps: evaluations of a problem over a grid of values, returned as labelled arrays.
 
 The cells of the grid are computed in blocks on many processors, and each result is kept in a store when it is finished,
 so that a sweep continues after a stop (``taciturn_studies.points``). ``SweepTable`` is the result as rows, for pandas,
@@ -7,20 +7,34 @@ CSV files and LaTeX.
 
 from __future__ import annotations
 
+import itertools
 import math
 import platform
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.extend import Progress, answered_within, in_notebook, wrapped_text
+from taciturn.extend import (
+    HEIGHT,
+    POLICIES,
+    Panel,
+    Progress,
+    Series,
+    Size,
+    StyleName,
+    answered_within,
+    draw,
+    in_notebook,
+    table_text,
+)
 from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Field, Tabular
+from taciturn.model.result import FIRST, LAST, VERDICT, Columns, Field, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
@@ -43,7 +57,10 @@ from taciturn_studies.points import (
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.figure import Figure
 
+MOST_CURVES = 5  # of a figure
+WIDE = 10.0  # ratio of the largest and the smallest value above which the axis of the values is logarithmic
 TAKEN = ("drop", "method", "tolerance")  # argument names of the selection methods of labelled arrays
 
 
@@ -60,10 +77,10 @@ def sweep(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> xarray.Dataset:
-    """Return cost and rates of a problem's policy over a grid, one dimension per name.
+    """Compute the cost and the rates of a problem's policy over a grid of values, with one dimension per varied name.
 
     The seed of a cell is derived from ``seed`` and the cell's values only, so a cell gives the same result in every
-    grid, in every order and on every worker. A cell without an answer contains NaN or an empty string; the variable
+    grid, in every order and on every worker. A cell without a result contains NaN or an empty string; the variable
     ``refusal`` gives the reason, and a warning reports the number of such cells.
 
     Args:
@@ -108,7 +125,7 @@ def sweep(
                     "store"
                 )
             if name in TAKEN:
-                raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
+                raise ProblemError(f"the dimension name {name} is reserved by xarray; expected the name policy.{name}")
         axes = {name: labels_of(name, values) for name, values in listed.items()}
         _check_axes(problem, listed, confidence)
         cells = _Grid(listed, seed)
@@ -223,7 +240,7 @@ class _Table:
         self.methods: set[str] = set()
 
     def put(self, index: int, seed: int, answer: Evaluation | Refusal) -> None:
-        """Write the answer of a cell to the columns of the result."""
+        """Write the results of a cell into the columns."""
         self.seeds[index] = seed
         if isinstance(answer, Refusal):
             self.refusals[index] = str(answer.error)
@@ -247,11 +264,14 @@ class _Table:
             self.columns[name] = np.full(len(self.seeds), missing, dtype=kind)
             self.units[name] = unit
         elif self.units[name] != unit:
-            raise ProblemError(f"the grid mixes {self.units[name]} and {unit}; expected one unit: use two sweeps")
+            raise ProblemError(
+                f"the grid mixes results with the units {self.units[name]} and {unit}; expected one unit: use two "
+                "sweeps"
+            )
         self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:
-        """Warn about cells without an answer."""
+        """Warn that some cells of the grid have no result."""
         if not self.refused:
             return
         first = min(self.refused)
@@ -262,7 +282,7 @@ class _Table:
         warnings.warn(sentence, stacklevel=3)
 
     def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
-        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``, then rates."""
+        """Return all results as a data set over the grid; the variables are those of ``COLUMNS``, then the rates."""
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
@@ -273,31 +293,90 @@ class _Table:
 
 
 class SweepTable(Tabular):
-    """The result of a sweep as a table, with one row per cell and one column per name.
+    """The results of a sweep as a table: one row per grid cell, one column per varied name and per result.
 
     Args:
         result: the labelled arrays that ``sweep`` returned, or that were read from its file.
     """
+
+    FIELDS: ClassVar[tuple[Field[SweepTable], ...]] = (
+        VERDICT,
+        Field("omitted", key="", say="note"),
+        Field("method", key="", say="method", part="method"),
+        Field("seed", key="", say="seed", part="method"),
+    )
 
     def __init__(self, result: xarray.Dataset) -> None:
         """Store the result."""
         self.result = result
 
     def summary(self) -> Mapping[str, object]:
-        """Return the number of values for each name of the grid."""
+        """Return how many values each name of the grid has."""
         return {str(name): size for name, size in self.result.sizes.items()}
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn sweep`` prints."""
-        return sweep_text(self.result)
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence about the cells with the least and the largest cost, and the number of cells with a result."""
+        return tuple(_verdict(self.result))
+
+    @property
+    def method(self) -> str:
+        """Methods that gave the costs."""
+        methods: list[str] = [str(one) for one in self.result.cost_method.values.ravel() if one]
+        return ", ".join(dict.fromkeys(methods))
+
+    @property
+    def seed(self) -> str:
+        """Seed of the sweep, from which the random seed of each cell is derived."""
+        return str(self.result.attrs.get("seed", ""))
+
+    @property
+    def omitted(self) -> str:
+        """Sentence that says how many grid cells the text leaves out."""
+        left = self.result.refusal.size - FIRST - LAST
+        return f"{left} cells are omitted; the result and --table contain all of them" if left > 0 else ""
+
+    def table_texts(self) -> Sequence[str]:
+        """Return a table of values, cost and rates for the first and the last cells of the grid."""
+        found, names = self.result, [str(name) for name in self.result.sizes]
+        rates = [
+            name for name in map(str, found.data_vars) if name.startswith("rate_") and f"{name}_standard_error" in found
+        ]
+        per = [f"{found[name].units}{f', {name[5:]}' if len(rates) > 1 else ''}" for name in rates]
+        shape, count = found.refusal.shape, found.refusal.size
+        shown = [*range(count)] if count <= FIRST + LAST else [*range(FIRST), -1, *range(count - LAST, count)]
+        rows = list[list[str]]()
+        for index in shown:
+            if index < 0:
+                rows.append(["…"] * (len(names) + 1 + len(rates)))
+                continue
+            cell = found.isel(dict(zip(names, (int(i) for i in np.unravel_index(index, shape)), strict=True)))
+            sends = ["" if math.isnan(cell[name].item()) else f"{cell[name].item():.4g}" for name in rates]
+            rows.append([*(str(cell[name].item()) for name in names), _cost(cell), *sends])
+        unit = found.cost.attrs.get("units", "cost")
+        return (table_text([*names, unit, *per], rows, len(names)),)
+
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot cost and rates along the longest numerical axis of the grid, one curve per combination of other values.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure, one above the other: one for the cost, and one for the
+                rate of each link.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+
+        Raises:
+            ProblemError: there are more than ``MOST_CURVES`` other cells.
+        """
+        return draw(panels_of(self.result), ax, figsize, style)
 
     def about(self) -> dict[str, object]:
-        """Return the attributes of the result: version, seed, digest of the problem, units."""
+        """Return the attributes of the data set: version, seed, digest of the problem, and units."""
         units = {name: array.attrs["units"] for name, array in self.result.items() if "units" in array.attrs}
         return {**self.result.attrs, "units": "; ".join(f"{name}: {unit}" for name, unit in units.items())}
 
     def columns(self) -> Columns:
-        """Return the columns; a value and its standard error are one estimate, and missing values are None."""
+        """Return the columns by name; a value and its standard error are one estimate, and a missing value is None."""
         frame: Any = self.to_pandas()  # pandas' types are incomplete
         found: dict[str, list[Any]] = {
             name: [None if one != one else one for one in frame[name].tolist()] for name in frame
@@ -308,7 +387,7 @@ class SweepTable(Tabular):
         return found
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a data frame; its ``attrs`` are the attributes of the result.
+        """Convert the results to a pandas data frame; its ``attrs`` are the attributes of the data set.
 
         Raises:
             ProblemError: pandas is not installed.
@@ -318,20 +397,74 @@ class SweepTable(Tabular):
         return frame
 
 
-def sweep_text(found: xarray.Dataset) -> str:
-    """Return the grid of a sweep, and the cells with the smallest and the largest cost."""
+def panels_of(found: xarray.Dataset) -> list[Panel]:
+    """Return the panels of a sweep's figure: one for the cost and one for the rates."""
+    sizes = {str(name): size for name, size in found.sizes.items()}
+    numeric = [name for name in sizes if found[name].dtype.kind in "iuf"]
+    lead = max(numeric or sizes, key=lambda name: sizes[name])
+    others = [name for name in sizes if name != lead]
+    count = math.prod(sizes[name] for name in others)
+    if count > MOST_CURVES:
+        raise ProblemError(
+            f"the grid has {count} curves over {lead}; expected at most {MOST_CURVES} in a figure: select some cells "
+            "of the result, as SweepTable(result.sel(...))"
+        )
+    values = [float(one) for one in found[lead].values] if numeric else [float(one) for one in range(sizes[lead])]
+    wide = min(values) > 0 and max(values) > WIDE * min(values)
+    rates = [str(name) for name in found if str(name).startswith("rate_") and f"{name}_standard_error" in found]
+    panels = list[Panel]()
+    for name in ("cost", *rates):
+        series = [
+            _curve(found, cell, name, lead, values, number)
+            for number, cell in enumerate(itertools.product(*(range(sizes[other]) for other in others)))
+        ]
+        unit = str(found[name].attrs.get("units", name))
+        label = unit if name == "cost" or len(rates) == 1 else f"{name.removeprefix('rate_')}: {unit}"
+        panels.append(
+            Panel(
+                series if name == "cost" else [replace(one, label="") for one in series],
+                "",
+                label,
+                xlog=wide,
+                height=HEIGHT * (1.0 if name == "cost" else 0.5),
+            )
+        )
+    return [*panels[:-1], replace(panels[-1], xlabel=lead)]
+
+
+def _curve(
+    found: xarray.Dataset, cell: tuple[int, ...], name: str, lead: str, values: Sequence[float], number: int
+) -> Series:
+    """Return the curve of one cell of the other axes; cells without an answer are left out."""
+    others = [str(other) for other in found.sizes if other != lead]
+    one = found.isel(dict(zip(others, cell, strict=True)))
+    y, error = one[name].values.tolist(), one[f"{name}_standard_error"].values.tolist()
+    kept = [k for k, value in enumerate(y) if value == value]
+    words = [f"{other} = {one[other].item()}" for other in others]
+    return Series(
+        [values[k] for k in kept], [y[k] for k in kept], ", ".join(words) or name, error=[error[k] for k in kept],
+        thing=POLICIES[number % len(POLICIES)],
+    )  # fmt: skip
+
+
+def _verdict(found: xarray.Dataset) -> Iterator[str]:
+    """Yield where the cost is least and largest, and how many cells have an answer."""
     grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
     refused = int((found.refusal != "").sum())
-    parts = [f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"]
-    ends = () if refused == found.refusal.size else (("smallest", found.cost.argmin), ("largest", found.cost.argmax))
-    for name, find in ends:
-        at = found.isel(find(...))
-        where = ", ".join(f"{key} = {at[key].item()}" for key in found.sizes)
-        cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
-        rates = [
-            f"{at[key].item():.4g} {at[key].units} ({key[5:]})"
-            for key in map(str, found.data_vars)
-            if key.startswith("rate_") and f"{key}_standard_error" in found
-        ]
-        parts.append(f"{name} cost {cost} at {where}; {', '.join(rates)}")
-    return "\n".join(map(wrapped_text, parts))
+    ends = () if refused == found.refusal.size else (found.cost.argmin, found.cost.argmax)
+    cells = [found.isel(find(...)) for find in ends]
+    told = [
+        f"{word} cost {_cost(cell)} at {', '.join(f'{key} = {cell[key].item()}' for key in found.sizes)}"
+        for word, cell in zip(("least", "largest"), cells, strict=False)
+    ]
+    yield "; ".join(told) or "no cost, since every cell was refused"
+    yield f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"
+
+
+def _cost(cell: Any) -> str:
+    """Return the cost of a cell, or that it was refused."""
+    if cell.refusal.item():
+        return "refused"
+    return str(
+        Estimate(cell.cost.item(), cell.cost_standard_error.item(), cell.cost_method.item(), cell.cost_error.item())
+    )

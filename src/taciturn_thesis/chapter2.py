@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from taciturn.extend import Panel, Progress, Series, draw
+from taciturn.extend import Panel, Progress, Series, Thing, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.study.evaluation import Evaluation
@@ -123,9 +123,9 @@ def _figure_point(problem: Problem, found: Evaluation) -> dict[str, Estimate]:
     return computed | {"bound": _bound(found)}
 
 
-def _curve(clock: Clock, fastest: float, slowest: float, label: str, color: int) -> Series:
+def _curve(clock: Clock, fastest: float, slowest: float, label: str, thing: Thing | int) -> Series:
     points = clock.curve(fastest, slowest)
-    return Series([1 / p.rate for p in points], [p.cost for p in points], label, "dashed", color=color)
+    return Series([1 / p.rate for p in points], [p.cost for p in points], label, thing=thing)
 
 
 def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
@@ -139,11 +139,15 @@ def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
     ]
     series = [
         Series(
-            x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0
+            x,
+            [e.value for e in events],
+            "event-triggered (2.13)",
+            error=[e.standard_error for e in events],
+            thing="policy",
         ),
-        _curve(weaker, 1 / x[0], slowest, "samples and sends at this rate", 7),
-        _curve(fair, 1 / x[0], slowest, "fair periodic control", 5),
-        Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", "dotted", color=3),
+        _curve(weaker, 1 / x[0], slowest, "samples and sends at this rate", 4),
+        _curve(fair, 1 / x[0], slowest, "fair periodic control", "periodic control"),
+        Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", thing="guarantee"),
     ]
     return draw(
         [Panel(series, "average transmission period (s)", "cost per second", "Figure 2.2: two masses and a spring")]

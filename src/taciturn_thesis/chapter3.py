@@ -1,11 +1,11 @@
-"""Reproduction of chapter 3 of the thesis: a controller remote from its sensor and its actuator."""
+"""Reproduction of chapter 3 of the thesis: a controller that is separate from its sensor and its actuator."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from taciturn.extend import Panel, Progress, Series, draw
+from taciturn.extend import Panel, Progress, Series, Thing, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.simulation.trajectory import course, simulate
@@ -25,7 +25,9 @@ DOUBLE: Mapping[str, float] = {"J_all": 0.45, "J": 0.6842, "sensor %": 14, "actu
 PRECISION = 2e-5  # standard error of each cost
 STEPS = 60  # steps in the figures
 PATHS = 16_384  # paths of a running cost
-BLUE, RED, BLACK = 0, 3, 7  # event-triggered, all-time, guarantee: similar to the colours of the thesis
+LEVELS: tuple[tuple[str, str, Thing], ...] = (
+    ("J_all", "", "every sample"), ("J", "averages", "policy"), ("bound", "guarantee", "guarantee"),
+)  # fmt: skip
 _UNKNOWN_START = "the thesis does not print the initial state: the running costs assume a known start at x = 0"
 
 
@@ -75,7 +77,7 @@ def chapter3(seed: int, progress: Progress) -> Reproduction:
 def remote_row(
     problem: Problem, setting: Mapping[str, object], printed: Mapping[str, float], seed: int, standard_error: float
 ) -> Row:
-    """Return costs, rates and bound of a remote controller, with the numbers printed in the thesis."""
+    """Compute costs, rates and bound of a remote controller, for comparison with the numbers printed in the thesis."""
     found = evaluate(problem, seed=seed, standard_error=standard_error)
     assert found.cost_all_time is not None
     assert found.cost_bound is not None
@@ -90,26 +92,26 @@ def remote_row(
 
 
 def running_costs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return the running cost E[x'Qx + û'Rû] at each step, for event-triggered control and for θ = ζ = 0."""
+    """Compute the running cost E[x'Qx + û'Rû] at each step, with event-triggered control and with every sample sent."""
     series: list[Series] = []
-    for label, color, case in _both_cases(problem):
+    for label, thing, case in _both_cases(problem):
         found = course(case.close(case.design()), steps, paths=PATHS, seed=seed)
-        series.append(Series(_steps(steps), found.cost.tolist(), label, color=color))
+        series.append(Series(_steps(steps), found.cost.tolist(), label, thing=thing))
     return series
 
 
 def inputs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return the plant input for one noise realisation, for event-triggered control and for θ = ζ = 0."""
+    """Simulate the plant input for one realisation of the noise, with event-triggered control and every sample sent."""
     series: list[Series] = []
-    for label, color, case in _both_cases(problem):
+    for label, thing, case in _both_cases(problem):
         path = simulate(case.close(case.design()), steps, seed=seed)
-        series.append(Series(_steps(steps), path.input[:, 0].tolist(), label, "steps", color=color))
+        series.append(Series(_steps(steps), path.input[:, 0].tolist(), label, "steps", thing=thing))
     return series
 
 
-def _both_cases(problem: Problem) -> tuple[tuple[str, int, Problem], ...]:
+def _both_cases(problem: Problem) -> tuple[tuple[str, Thing, Problem], ...]:
     all_time = problem.changed({"theta": 0.0, "zeta": 0.0})
-    return (("all-time", RED, all_time), ("event-triggered", BLUE, problem))
+    return (("all-time", "every sample", all_time), ("event-triggered", "policy", problem))
 
 
 def _steps(steps: int) -> list[float]:
@@ -125,12 +127,12 @@ def _picture(scalar: Problem, double: Problem, first: Row, second: Row, seed: in
         )
     ]
     panels.append(Panel(inputs(double, STEPS, seed), "step", "input", "Figure 3.6: double integrator, one realisation"))
-    return draw(panels, height=9.0)
+    return draw(panels)
 
 
 def _levels(row: Row) -> list[Series]:
     """Return the averages and the bound as horizontal lines."""
     return [
-        Series([0.0, STEPS - 1.0], [row.computed[name].value] * 2, label, "dotted", color=color)
-        for name, label, color in (("J_all", "", RED), ("J", "averages", BLUE), ("bound", "guarantee", BLACK))
+        Series([0.0, STEPS - 1.0], [row.computed[name].value] * 2, label, "dotted", thing=thing)
+        for name, label, thing in LEVELS
     ]

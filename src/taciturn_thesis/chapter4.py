@@ -1,4 +1,4 @@
-"""Reproduction of chapter 4 of the thesis: the dynamic trigger, and a threshold worse than periodic control."""
+"""Reproduction of chapter 4 of the thesis: the dynamic trigger, and a threshold that is worse than periodic control."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def chapter4(seed: int, progress: Progress) -> Reproduction:
         Table("Figure 4.6: counter-example 4.5.2, α = 0.2", tuple(dynamic), _notes(counter)),
         Table("Figure 4.6: Euclidean threshold |e| ≥ Y", tuple(_lost(losses, counter)), _where(losses)),
     )
-    picture = draw([_figure_4_4(lengths), *_figures(rows, price, counter, dynamic, losses)], height=13.0)
+    picture = draw([_figure_4_4(lengths), *_figures(rows, price, counter, dynamic, losses)])
     sample = _figure_4_4_b(process, replace(limits, c=printed.computed["α*"].value * PRINTED_SLOPE), seed)
     progress(1.0)
     return Reproduction(
@@ -161,7 +161,7 @@ def _where(losses: Losses) -> tuple[str, ...]:
 def _figure_4_4(lengths: Sequence[Row]) -> Panel:
     alphas = [float(row.setting["α"]) for row in lengths]
     found = [row.computed["L(α)"].value for row in lengths]
-    series = [Series(alphas, found, "L(α)"), Series(alphas, alphas, "α", "dashed", color=7)]
+    series = [Series(alphas, found, "L(α)"), Series(alphas, alphas, "α", "dashed", thing=7)]
     return Panel(series, "α (s)", "mean interval (s)", "Figure 4.4 (a)")
 
 
@@ -180,12 +180,14 @@ def _figures(
     slopes, alphas = [float(row.setting["C"]) for row in rows], [row.computed["α*"].value for row in rows]
     costs = [row.computed["J"].value for row in rows]
     lengths = np.linspace(0.05, max(alphas), 40).tolist()
-    periodic = Series(lengths, [price.periodic(h) for h in lengths], "periodic control", "dashed", color=7)
+    periodic = Series(lengths, [price.periodic(h) for h in lengths], "periodic control", thing="periodic control")
     intervals = np.linspace(0.02, 1.0, 40).tolist()
-    clock = Series(intervals, [counter.growth(h) for h in intervals], "periodic control", "dashed", color=7)
-    proposed = Series([r.computed["E[θ]"].value for r in dynamic], [r.computed["g"].value for r in dynamic], "dynamic")
+    clock = Series(intervals, [counter.growth(h) for h in intervals], "periodic control", thing="periodic control")
+    proposed = Series(
+        [r.computed["E[θ]"].value for r in dynamic], [r.computed["g"].value for r in dynamic], "dynamic", thing="policy"
+    )
     threshold = [(1 / p.rate.value, p.cost.value - counter.base) for p in losses.points]
-    euclidean = Series([x for x, _ in threshold], [y for _, y in threshold], "Euclidean threshold", color=3)
+    euclidean = Series([x for x, _ in threshold], [y for _, y in threshold], "Euclidean threshold", thing=3)
     return [
         Panel(
             [Series(slopes, alphas, "α*")],
@@ -200,7 +202,10 @@ def _figures(
             "Figure 4.5, top right",
         ),
         Panel(
-            [Series(alphas, costs, "dynamic"), periodic], "mean interval (s)", "cost per second", "Figure 4.5, bottom"
+            [Series(alphas, costs, "dynamic", thing="policy"), periodic],
+            "mean interval (s)",
+            "cost per second",
+            "Figure 4.5, bottom",
         ),
         Panel([proposed, euclidean, clock], "mean interval (s)", "cost per second beyond tr(PλW)", "Figure 4.6"),
     ]

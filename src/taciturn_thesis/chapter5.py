@@ -53,7 +53,7 @@ def chapter5(seed: int, progress: Progress) -> Reproduction:
 
 
 def price_of(problem: Problem) -> PredictionCost:
-    """Return the cost of control with predictions between sends."""
+    """Return the cost of control that predicts the state between sends."""
     plant, cost = problem.plant, problem.cost
     return prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
 
@@ -88,9 +88,9 @@ def _panel(rows: Sequence[Row], price: PredictionCost) -> Panel:
 
     rates = np.geomspace(min(column("r")), max(CHECKS), 80).tolist()
     series = [
-        Series(rates, [price.periodic(1 / r) for r in rates], "periodic control", color=7),
-        Series(list(CHECKS), column("V_p"), "base policies", "stars", color=1),
-        Series(column("r"), column("V"), "consistent, jumps", "stars", color=3),
-        Series(column("r (Wiener)"), column("V (Wiener)"), "consistent, Wiener noise", "stars", color=0),
+        Series(rates, [price.periodic(1 / r) for r in rates], "periodic control", thing="periodic control"),
+        Series(list(CHECKS), column("V_p"), "base policies", "points", thing=4),
+        Series(column("r"), column("V"), "consistent, jumps", "points", thing=3),
+        Series(column("r (Wiener)"), column("V (Wiener)"), "consistent, Wiener noise", "points", thing="policy"),
     ]
     return Panel(series, "sends per second", "cost per second", "Figure 5.4: double integrator")

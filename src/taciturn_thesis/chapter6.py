@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from taciturn.extend import Panel, Progress, Series, draw
+from taciturn.extend import Lane, Panel, Progress, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem, load
 from taciturn.simulation.trajectory import simulate
-from taciturn_thesis.chapter3 import BLACK, BLUE, RED, inputs, remote_row, running_costs
+from taciturn_thesis.chapter3 import inputs, remote_row, running_costs
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:
@@ -67,19 +67,20 @@ def _picture(problem: Problem, schedule: Schedule, realised: list[Series], seed:
     ticks, asked = [float(k) for k in range(steps)], [float(k) for k in schedule.ticks]
     path = simulate(problem.close(problem.design()), steps, seed=seed)
     sent = [k for k, sends in zip(ticks, path.sends["actuator"], strict=True) if sends]
-    sends = Series(sent, [1.0] * len(sent), f"sends: {len(sent)} of {steps}", "stems", color=BLUE)
+    sends = Lane("sends", sent, note=f"{len(sent)} of {steps}")
     worth = schedule.value.tolist()
     values = [
-        Series(ticks, worth, "value of a query, h", color=BLUE),
-        Series([0.0, steps - 1.0], [schedule.price] * 2, "price, ζ", "dotted", color=BLACK),
-        Series(asked, [worth[k] for k in schedule.ticks], f"queries: {len(asked)} of {steps}", "stems", color=RED),
+        Series(ticks, worth, "value of a query, h", thing=0),
+        Series([0.0, steps - 1.0], [schedule.price] * 2, "price, ζ", thing="limits"),
+        Series(
+            asked, [worth[k] for k in schedule.ticks], f"queries: {len(asked)} of {steps}", "stems", thing="delivered"
+        ),
     ]
     return draw(
         [
             Panel(running_costs(problem, steps, seed), ylabel="cost per step", title="Figure 6.5: ground robot"),
             Panel(realised, ylabel="input (%)", title="Figure 6.6: one realisation"),
-            Panel([sends], ylabel="sends"),
+            Panel(lanes=[sends]),
             Panel(values, "step", "cost", "Figure 6.7: requests to the camera"),
-        ],
-        height=11.0,
+        ]
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn.design.kinds.lossy_lqg import lossy_lqg
-from taciturn.extend import Panel, Progress, Series, Style, draw
+from taciturn.extend import Curve, Panel, Progress, Series, Thing, draw
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Reference
@@ -93,7 +93,7 @@ def chapter7(seed: int, progress: Progress) -> Reproduction:
 
 
 def two_circles() -> Reference:
-    """Return the reference of section 7.5: one round of two tangent circles of 1 m radius in ``STEPS`` steps."""
+    """Return the reference of section 7.5: two tangent circles of radius 1 m, which take ``STEPS`` steps together."""
     turn = np.linspace(0.0, 4 * np.pi, STEPS + 1)
     side = np.where(turn < 2 * np.pi, -1.0, 1.0)
     states = np.column_stack([side * (1 - np.cos(turn)), -np.sin(turn), np.zeros(STEPS + 1)])
@@ -101,7 +101,7 @@ def two_circles() -> Reference:
 
 
 def tracking_loop(price: float) -> Loop:
-    """Return the loop of section 7.5, at a price per send."""
+    """Return the closed loop of section 7.5 of the thesis for a given price per send."""
     unit, reference = np.eye(3), two_circles()
     plant = Plant(unit, SECONDS * unit, NOISE**2 * unit, dt=SECONDS, mean=reference.states[0])
     network = Network("udp", actuator_loss=0.1, sensor_loss=0.25, delay=1)
@@ -120,13 +120,13 @@ def _point(setting: Mapping[str, object], rate: Estimate, cost: Estimate, bounds
 def _curves(rows: Sequence[Row], x: Sequence[float]) -> list[Series]:
     columns = {name: [row.computed[name] for row in rows] for name in rows[0].computed}
     costs = columns["J"]
-    series = [Series(x, [e.value for e in costs], "J", error=[e.standard_error for e in costs], color=0)]
-    lines: Sequence[tuple[str, Style, int]] = (
-        ("J_all + λN", "dotted", 3),
-        ("J_all + λN(1−R_t)", "dashed", 3),
-        ("J_all", "dashed", 7),
+    series = [Series(x, [e.value for e in costs], "J", error=[e.standard_error for e in costs], thing="policy")]
+    lines: Sequence[tuple[str, Curve, Thing]] = (
+        ("J_all + λN", "dotted", "guarantee"),
+        ("J_all + λN(1−R_t)", "dashed", "guarantee"),
+        ("J_all", "dashed", "every sample"),
     )
-    series += [Series(x, [e.value for e in columns[name]], name, style, color=color) for name, style, color in lines]
+    series += [Series(x, [e.value for e in columns[name]], name, curve, thing=thing) for name, curve, thing in lines]
     return series
 
 
@@ -136,21 +136,21 @@ def _figure_7_2(points: Sequence[Row]) -> Figure:
         rows = [row for row in points if row.setting["links"] == protocol]
         rates = [row.computed["R_t"].value for row in rows]
         panels.append(Panel(_curves(rows, rates), "sends per step, R_t", "total cost", f"Figure 7.2: {protocol}"))
-    return draw(panels, height=9.0)
+    return draw(panels)
 
 
 def _figure_7_5(seed: int) -> Figure:
     price, reference = TRACKING_PRICES[-1], two_circles().states
     path = simulate(tracking_loop(price), STEPS, seed=seed)
     sent = path.sends["actuator"]
-    x, y = (np.where(sent, axis, np.nan).tolist() for axis in path.state.T[:2])  # gaps prevent lines between the dots
+    x, y = path.state[sent].T[:2].tolist()
     figure = draw(
         [
             Panel(
                 [
-                    Series(reference[:, 0].tolist(), reference[:, 1].tolist(), "reference", "dashed", color=7),
-                    Series(path.state[:, 0].tolist(), path.state[:, 1].tolist(), "path", color=0),
-                    Series(x, y, f"sends: {int(sent.sum())} of {STEPS}", error=[0.0] * STEPS, color=3),
+                    Series(reference[:, 0].tolist(), reference[:, 1].tolist(), "reference", thing="set-point"),
+                    Series(path.state[:, 0].tolist(), path.state[:, 1].tolist(), "path", thing="policy"),
+                    Series(x, y, f"sends: {int(sent.sum())} of {STEPS}", "points", thing="delivered"),
                 ],
                 "x (m)",
                 "y (m)",

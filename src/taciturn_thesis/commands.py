@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from taciturn.cli.frame import EXAMPLE, GROUPS, Json, Seed, app, complete_from, progress_bar
+from taciturn.cli.frame import EXAMPLE, GROUPS, Json, Seed, Verbose, app, complete_from, progress_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,6 +29,7 @@ def reproduce(
         ),
     ] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the figures. Default: the current folder.")
     ] = None,
@@ -37,7 +38,7 @@ def reproduce(
         bool, typer.Option("--twin", help="Run the experiments of chapters 6 and 7 with digital twins.")
     ] = False,
 ) -> None:
-    """Compute the tables and figures of the thesis, and compare them with its printed numbers.
+    """Compute the tables and figures of the thesis, and compare them with the numbers in the thesis.
 
     For other parameters use taciturn tradeoff FILE --over NAME=v1,v2,…
     """
@@ -67,7 +68,7 @@ def reproduce(
         documents.append(found.document() | origin(found.problems, seed))
         pictures |= {folder / f"{file}.svg": (picture, found) for file, picture in found.pictures.items()}
         if not as_json:
-            typer.echo(f"\n{found}")
+            typer.echo(f"\n{found.text(verbose)}")
     if as_json:
         typer.echo(json.dumps(documents, indent=1, allow_nan=False))
     for path, (picture, found) in pictures.items():  # after the numbers, which must be printed even if a figure fails

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from time import perf_counter
 from typing import TypeAlias
 
 from taciturn.errors import ProblemError
@@ -46,16 +48,16 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
     """
     if name not in CHAPTERS:
         raise no_chapter(name, list(CHAPTERS))
-    return CHAPTERS[name](seed, in_notebook(progress) or (lambda fraction: None))
+    return _timed(CHAPTERS[name], seed, progress)
 
 
 def experiments() -> list[str]:
-    """Return the chapters whose experiments an installed package repeats with digital twins."""
+    """Return the chapters of the thesis whose experiments an installed package can repeat with digital twins."""
     return list(find_plugins(EXPERIMENTS))
 
 
 def repeat_experiment(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
-    """Repeat the experiment of a chapter with a digital twin.
+    """Repeat the experiments of a chapter of the thesis with a digital twin.
 
     Args:
         name: name of the chapter, such as ``"chapter6"``.
@@ -70,11 +72,18 @@ def repeat_experiment(name: str, *, seed: int = 0, progress: Progress | None = N
     if name not in experiments():
         raise no_chapter(name, experiments())
     experiment: Chapter = load_plugin(EXPERIMENTS, name, "--twin")
-    return experiment(seed, in_notebook(progress) or (lambda fraction: None))
+    return _timed(experiment, seed, progress)
+
+
+def _timed(chapter: Chapter, seed: int, progress: Progress | None) -> Reproduction:
+    """Return what a chapter computes, with its wall time."""
+    begun = perf_counter()
+    found = chapter(seed, in_notebook(progress) or (lambda fraction: None))
+    return replace(found, seconds=perf_counter() - begun)
 
 
 def no_chapter(name: str, known: Sequence[str]) -> ProblemError:
-    """Return the error for an unknown chapter name."""
+    """Return the error that says that a chapter does not exist."""
     return ProblemError(
         f"{name!r} is not a reproducible chapter; expected one of {', '.join(known)}, or all{suggest(name, known)}"
     )

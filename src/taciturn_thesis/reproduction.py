@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from taciturn.extend import table_text, wrapped_text
+from taciturn.extend import number_of, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Field, Result, Tabular, plain_fields
+from taciturn.model.result import VERDICT, Columns, Field, Result, Tabular, plain_fields, seconds
 from taciturn.problem import Problem
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def _whole(computed: Mapping[str, Estimate]) -> dict[str, Any]:
 
 @dataclass(frozen=True, repr=False)
 class Row(Result):
-    """One line of a table: its setting, the numbers printed in the thesis, and the computed numbers.
+    """One row of a table: a setting, the numbers that the thesis prints for it, and the computed numbers.
 
     Args:
         setting: names and values that identify the line.
@@ -38,7 +39,7 @@ class Row(Result):
 
 @dataclass(frozen=True, repr=False)
 class Table(Tabular):
-    """A table or figure of the thesis.
+    """A table or figure of the thesis, with printed and computed numbers.
 
     Args:
         name: name in the thesis.
@@ -56,11 +57,11 @@ class Table(Tabular):
     headings: Mapping[str, str] = field(hash=False, default_factory=dict[str, str])
 
     def __str__(self) -> str:
-        """Return the table as text, with each published number next to the computed one."""
+        """Return the table as text, with each published number next to the computed number."""
         return _published_text(self)
 
     def columns(self) -> Columns:
-        """Return one row per setting, with each printed number next to the computed one."""
+        """Return the columns of the table: the settings, and each printed number next to the computed one."""
         records: list[dict[str, object]] = []
         for row in self.rows:
             records.append(dict(row.setting))
@@ -73,7 +74,7 @@ class Table(Tabular):
 
 @dataclass(frozen=True, repr=False)
 class Reproduction(Result):
-    """Tables and pictures of a chapter.
+    """Tables and figures of one chapter of the thesis.
 
     Args:
         name: name of the chapter.
@@ -81,22 +82,42 @@ class Reproduction(Result):
         pictures: figures of the chapter, by the name under which they are saved; figures over the same axis share a
             picture.
         problems: problems that the chapter solves, each with the parameters of the tables.
+        seconds: wall time of the computation.
     """
 
-    FIELDS: ClassVar[tuple[Field[Reproduction], ...]] = (*plain_fields("name", "tables"),)
+    FIELDS: ClassVar[tuple[Field[Reproduction], ...]] = (
+        VERDICT,
+        *plain_fields("name", "tables"),
+        Field("seconds", json=seconds, say="time", text="{:.3g} s", part="method"),
+    )
 
     name: str
     tables: tuple[Table, ...]
     pictures: Mapping[str, Figure] = field(hash=False)
     problems: Mapping[str, Problem] = field(hash=False)
+    seconds: float = 0.0
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn reproduce`` prints."""
-        return "\n\n".join(map(str, self.tables))
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentence that says how many numbers the thesis prints, and how much the computed ones differ from them."""
+        rows = [row for table in self.tables for row in table.rows]
+        pairs = [
+            (row.printed[key], one.value) for row in rows for key, one in row.computed.items() if key in row.printed
+        ]
+        apart = [abs(computed / printed - 1) for printed, computed in pairs if printed]
+        told = f"{self.name}: {number_of(len(self.tables), 'table')}, {number_of(len(pairs), 'printed number')}"
+        if not apart:
+            return (told,)
+        middle, most = percent(median(apart), 2), percent(max(apart), 2)
+        return (f"{told}; the computed ones differ by {middle} (median), by {most} at most",)
+
+    def table_texts(self) -> Sequence[str]:
+        """Return the tables, each with its title and its notes."""
+        return [*map(str, self.tables)]
 
     def html(self) -> str:
-        """Return the tables as HTML."""
-        return "".join(table.html() for table in self.tables)
+        """Return the verdict and the tables as HTML."""
+        return self._verdict() + "".join(table.html() for table in self.tables)
 
 
 def _published_text(found: Table) -> str:
@@ -106,7 +127,7 @@ def _published_text(found: Table) -> str:
 
 
 def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows, with each printed number next to the computed one."""
+    """Return header and rows, with each printed number next to the computed number."""
     columns = list(table.rows[0].computed)
     printed = [name for name in columns if any(name in row.printed for row in table.rows)]
     header = list(table.rows[0].setting)

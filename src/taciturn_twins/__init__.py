@@ -1,4 +1,4 @@
-"""Digital twins of two robots: they repeat the experiments of chapters 6 and 7 of the thesis without hardware.
+"""Digital twins of two robots: simulations that repeat the experiments of chapters 6 and 7 of the thesis.
 
 **The experiment.** A robot moves, a camera measures its pose, and a controller decides when to send an input. The rover
 (`rover`) drives along a line, with the policy ``remote-lqg``. The omni-directional robot (`omni`) follows two circles
@@ -32,9 +32,8 @@ for every datagram. `run.run_twin` adds the same trial with the policy that send
 
 **Live page.** `live.watch_twin` runs one round after another. `steps` combines the logs of a running trial into one
 row per step. `baseline` runs the loop that sends every sample synchronously, with the same seed, disturbances, faults,
-losses and pushes. `page` passes the rows to `feed`, a log that any number of browsers read at different speeds.
-`server` serves the files in ``web/`` and the stream of events over `connections`, and passes user requests (pause,
-push, parameter) to the round. `access_control` checks that every request contains a token, or comes from this machine.
+losses and pushes. `page` passes the rows to a log that any number of browsers read at different speeds, and the
+requests of users (pause, push, parameter) to the round. `taciturn_web` serves it, and the files in ``web/``.
 
 `commands` has the commands `twin` and `camera`. `_cv2` and `_mujoco` are the typed interfaces to optional
 dependencies.

@@ -39,12 +39,12 @@ class Scene:
         self.step = float(self.model.opt.timestep)
 
     def addresses(self, joints: Sequence[str]) -> list[int]:
-        """Return the indices of the coordinates of hinge and slide joints in `Motion.position`."""
+        """Return the indices of hinge and slide joints in `Motion.position`."""
         return [int(self.model.joint(name).qposadr[0]) for name in joints]
 
 
 class Motion:
-    """The simulated state of a scene; its arrays are MuJoCo's own, so writing to them changes the state.
+    """The simulated state of a scene; its arrays belong to MuJoCo, so a caller that writes to them changes the state.
 
     `position` (qpos) and `speed` (qvel) contain the coordinates of a free body first; `command` (ctrl) drives the
     motors.
@@ -60,11 +60,11 @@ class Motion:
         self.settle()
 
     def step(self) -> None:
-        """Advance the simulation by one step of the scene."""
+        """Advance the simulation by one time step of the scene."""
         self._mujoco.mj_step(self._model, self._data)
 
     def check(self) -> None:
-        """Check that the coordinates of the bodies are finite.
+        """Raise an error if a coordinate of any body is not finite.
 
         Raises:
             ProblemError: a coordinate is not finite, or MuJoCo has issued a warning.
@@ -75,20 +75,20 @@ class Motion:
             )
 
     def settle(self) -> None:
-        """Compute the positions of all bodies and sites from `position`."""
+        """Compute the positions of all bodies and sites from the coordinates in `position`."""
         self._mujoco.mj_kinematics(self._model, self._data)
 
     def site(self, name: str) -> Array:
-        """Return the position of a site at the last call of `settle`, (3,) in metres."""
+        """Return the position in metres of a site (a marked point), (3,), as of the last call of `settle`."""
         return np.array(self._data.site(name).xpos)
 
     def force(self, body: str) -> Array:
-        """Return the writable array of the external force and torque on a body, (6,) in N and N·m."""
+        """Return the array of the external force and torque on a body, (6,), in N and N·m; callers may write to it."""
         return self._data.body(body).xfrc_applied
 
 
 class Painter:
-    """A renderer of the view of a scene's camera, which may be used only in the thread that created it.
+    """A renderer for a scene's camera; only the thread that created it may use it.
 
     Args:
         scene: scene to render.
@@ -117,7 +117,7 @@ class Painter:
             self._renderer.scene.flags[flag] = False
 
     def paint(self, position: Sequence[float] | Array) -> Pixels:
-        """Return the picture of the scene with the coordinates ``position``, in red, green and blue."""
+        """Render the scene with the coordinates ``position``, and return a picture in red, green and blue."""
         self._data.qpos[:] = position
         self._mujoco.mj_kinematics(self._model, self._data)
         self._mujoco.mj_camlight(self._model, self._data)
@@ -125,13 +125,13 @@ class Painter:
         return self._renderer.render()
 
     def light(self, share: float) -> None:
-        """Set the brightness of all lights as a fraction of their brightness in the scene."""
+        """Set the brightness of all lights, as a fraction of their brightness in the scene's file."""
         self._model.vis.headlight.ambient[:] = share * self._head[0]
         self._model.vis.headlight.diffuse[:] = share * self._head[1]
         self._model.light_diffuse[:] = share * self._lights
 
     def show(self, shape: str, shown: bool) -> None:
-        """Show or hide a shape (geom)."""
+        """Show or hide a geometric shape (``geom``) of the scene."""
         self._model.geom(shape).rgba[3] = float(shown)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A loop that sends every sample, next to the loop on a live page, with the same disturbances and losses."""
+"""A second loop that sends every sample, with the disturbances and packet losses of the first loop on the live page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from taciturn_twins.world import TwinPlant
 
 
 class Baseline:
-    """A thread that runs the policy that sends every sample, in virtual time and never ahead of the watched loop.
+    """A thread that runs the policy that sends every sample, in virtual time and never ahead of the loop on the page.
 
     Args:
         prepared: the robot, its camera and its model.
@@ -50,17 +50,17 @@ class Baseline:
 
     @property
     def failed(self) -> bool:
-        """True if the loop has ended with an error."""
+        """Whether the loop has ended with an error."""
         return self._trial.done() and self._trial.exception() is not None
 
     def permit(self, step: int, pushes: int) -> None:
-        """Permit the loop to begin a step, after the robot has received ``pushes`` pushes that users requested."""
+        """Allow the loop to begin a step, after users have pushed the robot ``pushes`` times."""
         with self._turn:
             self._permitted, self._pushes[step] = step, pushes
             self._turn.notify_all()
 
     def has_ended(self, step: int, patience: float) -> bool:
-        """Wait at most ``patience`` seconds, and return whether the loop has completed a step.
+        """Wait at most ``patience`` seconds until the loop has completed a step; return whether it has completed it.
 
         Step -1 is completed when the loop is ready for its first step. For a loop that has failed or was stopped, the
         result is True for every step.
@@ -71,7 +71,7 @@ class Baseline:
             )
 
     def end(self, complete: bool) -> Trial | None:
-        """End the loop; if the watched loop is complete, wait for the last step of this loop, and return its trial.
+        """End this loop and return its trial; if ``complete`` is true, first wait until its last step is done.
 
         Raises:
             ProblemError: the loop failed before this call, or after the watched loop was complete.

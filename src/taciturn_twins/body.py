@@ -1,4 +1,4 @@
-"""The body of a robot: rigid-body simulation with disturbing forces, reproducible for a given seed."""
+"""Rigid-body simulation of a robot with disturbing forces; equal seeds give equal motions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SLACK = 1e-6  # tolerance, in steps, with which a time is rounded up to a multi
 
 
 class Body:
-    """A rigid-body simulation of one robot, with wheels, motors and friction.
+    """Rigid-body simulation of one robot with its wheels, motors and friction.
 
     Disturbing forces act on the chassis: Ornstein–Uhlenbeck processes, stationary from the start.
 
@@ -83,18 +83,18 @@ class Body:
 
     @property
     def pose(self) -> Array:
-        """Pose of the marker, (n,), as an ideal camera would measure it; a heading is not wrapped at ±π."""
+        """Pose of the marker, (n,), as measured by an ideal camera; the heading may exceed ±π."""
         self._motion.settle()
         place = self._motion.site("marker")
         return np.array([place[0], place[1], self._heading]) if self._robot.turns else place[:1]
 
     @property
     def snapshot(self) -> tuple[float, ...]:
-        """Coordinates of the body and its wheels, (`Robot.seen`,), from which the camera renders a picture."""
+        """Coordinates of the body and its wheels, shape (`Robot.seen`,), from which the camera renders a picture."""
         return tuple(float(self._motion.position[k]) for k in self._kept)
 
     def act(self, inputs: Sequence[float] | Array) -> None:
-        """Set the input, (m,), clipped at the robot's limits, until the next call.
+        """Set the control input, shape (m,), limited to the robot's range; it stays constant until the next call.
 
         Raises:
             ProblemError: the input is not a vector of m finite numbers.
@@ -102,7 +102,7 @@ class Body:
         self._inputs = np.clip(array("inputs", inputs, (len(self._limit),), "inputs"), -self._limit, self._limit)
 
     def flow(self, until: float) -> None:
-        """Simulate up to the time ``until``, in whole simulation steps.
+        """Simulate the robot up to the time ``until``, in a whole number of simulation steps.
 
         Raises:
             ProblemError: the time is not finite, or the simulation diverges.
@@ -113,7 +113,7 @@ class Body:
         self._motion.check()
 
     def push(self, newtons: float, seconds: float, direction: float = 0.0) -> None:
-        """Push the chassis for some time from now, in a direction given by its angle to the x axis in radians.
+        """Push the chassis from now on for a given time, in the direction of an angle (radians) to the x axis.
 
         Raises:
             ProblemError: a number is not finite, or the duration is negative.
@@ -123,7 +123,7 @@ class Body:
         self._pushes.append((ends, size * math.cos(angle), size * math.sin(angle)))
 
     def kidnap(self, offset: Sequence[float] | Array) -> None:
-        """Move the robot instantly by an offset (n,) in metres and radians; rotation is about the marker.
+        """Move the robot at once by an offset (n,) in metres and radians; the robot turns about its marker.
 
         Raises:
             ProblemError: the offset is not a vector of n finite numbers.

@@ -1,4 +1,4 @@
-"""The calibration of a camera: lens parameters from pictures of a board, and pose from landmarks at known positions."""
+"""Calibration of a camera: lens parameters from pictures of a board, and pose from points at known positions."""
 
 from __future__ import annotations
 
@@ -69,34 +69,37 @@ class Calibration(Result):
 
     @property
     def place(self) -> Array:
-        """Position of the camera, (3,) in metres."""
+        """Position of the camera in space, shape (3,), in metres."""
         return -rotation_matrix(self.rotation).T @ self.translation
 
     def see(self, points: Array) -> Array:
-        """Return the pixel coordinates, (points, 2), of points in space, (points, 3)."""
+        """Return the pixels, (points, 2), at which the camera shows points in space, (points, 3)."""
         return project(points, self.rotation, self.translation, self.K, self.distortion)
 
     def meet(self, seen: Array, height: float) -> Array:
-        """Return the points of a horizontal plane that appear at given pixels; both arrays are (points, 2)."""
+        """Return the points of a horizontal plane that the camera shows at given pixels; both are (points, 2)."""
         rays = unproject(seen, self.K, self.distortion) @ rotation_matrix(self.rotation)
         place = self.place
         return (place + rays * ((height - place[2]) / rays[:, 2])[:, None])[:, :2]
 
     @classmethod
     def from_document(cls, document: Mapping[str, object]) -> Calibration:
-        """Return the calibration in a JSON object of ``document``.
+        """Return the calibration from the JSON object that ``document`` returned.
 
         Raises:
             ProblemError: a key is missing, or a value is malformed.
         """
         missing = [name for name in (*_SHAPES, "error") if name not in document]
         if missing:
-            raise ProblemError(f"the calibration lacks {', '.join(missing)}; expected a result of Calibration.document")
+            raise ProblemError(
+                f"the calibration lacks the entries {', '.join(missing)}; expected a document that "
+                "Calibration.document returned"
+            )
         return cls(**{name: document[name] for name in (*_SHAPES, "error")})  # type: ignore[arg-type]
 
 
 def calibrate(robot: Robot, seed: int = 0) -> Calibration:
-    """Calibrate the camera of a robot from its pictures only.
+    """Calibrate the camera of a robot from its pictures, without knowledge of the simulated lens.
 
     Pictures of a ChArUco board in ``VIEWS`` poses determine the lens parameters. Landmarks at known positions determine
     the pose of the camera: tags by their corners, cubes by their outlines. The search starts at a pose measured by
@@ -155,7 +158,9 @@ def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
             break
     optics.painter.close()
     if len(points) < VIEWS:
-        raise ProblemError(f"the board was found in {len(points)} pictures; expected {VIEWS}: check the lighting")
+        raise ProblemError(
+            f"the calibration board was found in {len(points)} pictures; expected {VIEWS} pictures: check the lighting"
+        )
     K, distortion, _ = calibrate_lens(points, seen, WIDTH, HEIGHT)
     return K, distortion
 
@@ -176,7 +181,7 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
     found = find_tags(picture)
     missing = [tag.number for tag in tags if tag.number not in found]
     if missing:
-        raise ProblemError(f"the tags {missing} are not seen; expected all {len(tags)} tags: clear the view")
+        raise ProblemError(f"the camera does not see the tags {missing}; expected all {len(tags)} tags: clear the view")
     points, seen = np.concatenate([t.corners for t in tags]), np.concatenate([found[t.number] for t in tags])
     rotation, translation = solve_pose(points, seen, K, distortion)
     off = project(points, rotation, translation, K, distortion) - seen
@@ -224,7 +229,8 @@ def _outline(picture: Pixels, cube: Cube, guess: Calibration) -> Array:
             best, nearest = outline, away
     if best is None:
         raise ProblemError(
-            f"the cube at {cube.centre} is not seen; expected all cubes: clear the view, or turn on the light"
+            f"the camera does not see the cube at {cube.centre}; expected all cubes: clear the view, or turn on the "
+            "light"
         )
     return best
 

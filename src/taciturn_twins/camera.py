@@ -17,7 +17,7 @@ _ROOM = 64  # largest shift of the noise field in pixels
 
 
 class Optics:
-    """A lens and an image sensor that observe a scene; `Camera` uses this class for the scene of a robot.
+    """A lens and an image sensor that look at a scene; `Camera` uses them for the scene of a robot.
 
     A field of normally distributed numbers is drawn once. The noise of a picture is a window of this field at a random
     position.
@@ -40,7 +40,7 @@ class Optics:
         self._noise = np.rint(field).astype(np.int16)
 
     def take(self, position: Sequence[float], number: int) -> bytes:
-        """Return a picture of the scene with coordinates ``position``, as JPEG of at most ``LARGEST`` bytes."""
+        """Render the scene with coordinates ``position``, and return a JPEG picture of at most ``LARGEST`` bytes."""
         y, x = np.random.default_rng((self._seed, number)).integers(_ROOM, size=2)
         bent = self._bend.apply(self.painter.paint(position)[..., ::-1])  # convert RGB to BGR
         noisy = add_noise(bent, self._noise[y : y + HEIGHT, x : x + WIDTH])
@@ -55,7 +55,7 @@ class Optics:
 
 
 class Camera:
-    """The camera of a robot's scene; only the thread that creates a camera can use it.
+    """The simulated camera in a robot's scene; only the thread that creates a camera may use it.
 
     Args:
         robot: robot in the scene.
@@ -97,7 +97,7 @@ class Camera:
 
     @property
     def lighting(self) -> float:
-        """Brightness of all lights relative to normal brightness, in [0, 10]."""
+        """Brightness of all lights as a factor from 0 to 10; 1 is the normal brightness."""
         return self._lighting
 
     @lighting.setter
@@ -108,7 +108,7 @@ class Camera:
 
     @property
     def covered(self) -> bool:
-        """True if the marker is covered."""
+        """Whether the robot's marker is covered, so that the camera cannot see it."""
         return self._covered
 
     @covered.setter

@@ -1,4 +1,4 @@
-"""The robots by name, and the trajectories that they follow."""
+"""The available robots by name, and the trajectories that they follow."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ ROBOTS: Mapping[str, Robot] = {robot.name: robot for robot in (ROVER, OMNI)}
 
 
 def find_robot(name: str) -> Robot:
-    """Return the robot with a given name.
+    """Return the robot with the given name.
 
     Raises:
         ProblemError: the name is unknown.
     """
     if name not in ROBOTS:
-        raise ProblemError(f"the robot {name!r} does not exist; expected {' or '.join(ROBOTS)}")
+        raise ProblemError(f"the robot {name!r} does not exist; expected the robot {' or '.join(ROBOTS)}")
     return ROBOTS[name]
 
 
 def reference(robot: Robot) -> Array | None:
-    """Return the reference states of a robot, one per step, or None if the robot drives to the origin.
+    """Return the reference states that a robot follows, one per step; None if the robot drives to the origin.
 
     The omni-directional robot follows two tangent circles of 1 m radius in 250 steps, (251, 3).
     """

@@ -1,4 +1,4 @@
-"""Commands for the digital twins of the robots, and their camera."""
+"""Commands that run the digital twin of a robot, or only its camera."""
 
 from __future__ import annotations
 
@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taciturn.cli.frame import EXAMPLE, GROUPS, File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
+from taciturn.cli.frame import (
+    EXAMPLE,
+    GROUPS,
+    File,
+    Json,
+    NoFunctions,
+    PictureStyle,
+    Plot,
+    Seed,
+    Verbose,
+    app,
+    print_json,
+    progress_bar,
+)
 from taciturn_udp.commands import Bind, Key, Loops, RealTime, TickLength, check_counts, tick_length
 
 if TYPE_CHECKING:
@@ -24,7 +37,7 @@ Faults = Annotated[
     typer.Option(
         "--fault",
         metavar="NAME@START+SECONDS=SIZE",
-        help="Inject a fault: camera, cover, light, actuator, kidnap, push, gain or controller.",
+        help="Inject a fault into the run. NAME: camera, cover, light, actuator, kidnap, push, gain or controller.",
     ),
 ]
 
@@ -36,48 +49,65 @@ def twin(
         str | None,
         typer.Argument(
             metavar="[FILE]",
-            help="Problem file with the policy. Default: the policy of the thesis, for an identified model.",
+            help="Problem file with the policy. Default: the policy of the thesis, designed for an identified "
+            "model of the robot.",
         ),
     ] = None,
     seed: Seed = 0,
-    runs: Annotated[int, typer.Option(help="Number of simultaneous runs, with consecutive seeds.")] = 1,
-    price: Annotated[float | None, typer.Option(help="Price per packet (omni) or per picture (rover).")] = None,
+    runs: Annotated[int, typer.Option(help="Number of runs at the same time, with consecutive seeds.")] = 1,
+    price: Annotated[
+        float | None,
+        typer.Option(help="Price of a packet (robot omni) or of a picture (robot rover)."),
+    ] = None,
     theta: Annotated[float | None, typer.Option(help="Parameter theta of the rover's policy.")] = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     namespaces: Annotated[
         bool,
         typer.Option(
-            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+            "--namespaces",
+            help="Run each node in its own network namespace, in which the Linux kernel drops the packets. "
+            "Requires root.",
         ),
     ] = False,
     no_functions: NoFunctions = False,
     fault: Faults = None,
-    wheels: Annotated[str | None, typer.Option(help="Wheel model: capsule, or rollers (omni only).")] = None,
+    wheels: Annotated[
+        str | None, typer.Option(help="Wheel model: capsule, or for the robot omni also rollers.")
+    ] = None,
     key: Key = None,
     record: Annotated[
-        Path | None, typer.Option(metavar="OUT.nc", help="Write all signals and events as NetCDF.")
+        Path | None, typer.Option(metavar="OUT.nc", help="Write all signals and events to a NetCDF file.")
     ] = None,
     video: Annotated[
-        Path | None, typer.Option(metavar="OUT.webp", help="Write the pictures of the camera in the first run.")
+        Path | None, typer.Option(metavar="OUT.webp", help="Write the camera pictures of the first run to this file.")
     ] = None,
     plot: Plot = None,
+    style: PictureStyle = None,
     live: Annotated[bool, typer.Option("--live", help="Serve a live page that shows one run after another.")] = False,
     bind: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="With --live: address of the page. Default: 127.0.0.1:8000.")
     ] = None,
     token: Annotated[
-        str | None, typer.Option(help="With --live: access token; required if other machines can reach the page.")
+        str | None,
+        typer.Option(
+            help="With --live: token that gives access to the page. Default: a random token, which the printed "
+            "address contains."
+        ),
     ] = None,
     speed: Annotated[
         float | None,
-        typer.Option(help="With --live, in virtual time: speed factor; 0: as fast as possible. Default: 1."),
+        typer.Option(
+            help="With --live, in virtual time: speed of the page relative to real time; 0: as fast as possible. "
+            "Default: 1."
+        ),
     ] = None,
     rounds: Annotated[int | None, typer.Option(help="With --live: number of runs. Default: until interrupted.")] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Run the digital twin of a robot: rigid bodies, camera, image processing, and packets over UDP."""
-    from taciturn.extend import number, pairs_text, save
+    from taciturn.extend import find_style, number, save
     from taciturn.nodes.keys import read_keys
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.faults import parse_fault
@@ -106,7 +136,7 @@ def twin(
         if video is not None:
             write_video(run, video)
         if plot is not None:
-            save(run.plot(), plot, run.origin())
+            save(run.plot(style=find_style(style or "light").name), plot, run.origin())
 
     if live:
         page = (bind or "127.0.0.1:8000", token)
@@ -119,7 +149,7 @@ def twin(
     if as_json:
         print_json(done.document(), done.origin())
     else:
-        typer.echo(pairs_text(done.lines()))
+        typer.echo(done.text(verbose))
     if not live:
         keep(done)
 
@@ -132,7 +162,7 @@ def _check_options(options: Mapping[str, object], live: bool, real_time: bool) -
     if given and not live:
         raise ProblemError(f"{given[0]} is given without --live; expected both options, or neither of them")
     if "--speed" in given and real_time:
-        raise ProblemError("--speed is given with --real-time, which runs at speed 1; expected one of them")
+        raise ProblemError("--speed is given with --real-time, which always runs at speed 1; expected one of them")
 
 
 def _live(
@@ -146,7 +176,7 @@ def _live(
     rounds: int | None,
     keep: Callable[[TwinRun], object],
 ) -> TwinRun:
-    """Serve the live page of a twin until it is interrupted, keep each complete run, and return the last one.
+    """Serve the live page of a twin until it is interrupted, keep each complete run, and return the last complete run.
 
     Raises:
         KeyboardInterrupt: the page was interrupted before a run was complete.
@@ -195,7 +225,7 @@ def _live(
 def camera(
     robot: Robot,
     file: File,
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address that receives the pictures.")],
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to which the camera sends the pictures.")],
     bind: Bind = "127.0.0.1:0",
     no_functions: NoFunctions = False,
     fault: Faults = None,

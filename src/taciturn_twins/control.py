@@ -1,4 +1,4 @@
-"""The camera as the sensor of a control unit: image processing converts a received picture to a measurement."""
+"""The camera as a sensor of the controller, which converts each received picture to a measurement of the pose."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LARGEST = 2**20  # bytes of a calibration
 
 
 def write_calibration(path: Path, robot: Robot, calibration: Calibration) -> None:
-    """Write a calibration to a file for the controller process."""
+    """Write a calibration to a file, which the process of the controller reads."""
     path.write_text(json.dumps({"robot": robot.name, **calibration.document()}), encoding="utf-8")
 
 
 def read_eye(path: Path) -> Eye:
-    """Return the image processor for the calibration in a file.
+    """Read a calibration from a file, and return an image processor that uses it.
 
     Raises:
         ProblemError: the file is missing, or contains no valid calibration.
@@ -56,7 +56,7 @@ def wire_of_pictures(
     seen: str | None = None,
     watch: Path | None = None,
 ) -> Generator[PictureWire]:
-    """Yield a decoder that converts pictures to measurements.
+    """Provide a decoder that converts each received picture to a measurement.
 
     Args:
         policy: policy of the controller.
@@ -74,8 +74,8 @@ def wire_of_pictures(
     measured, outputs = len(eye.robot.states), policy.model.outputs
     if measured != outputs:
         raise ProblemError(
-            f"the calibration is for the {eye.robot.name}, whose camera measures {measured} numbers; "
-            f"expected {outputs}, as for the policy"
+            f"the calibration is for the {eye.robot.name}, whose camera measures {measured} numbers; expected "
+            f"{outputs} numbers, as for the policy"
         )
     with logged(seen) as told:
 

@@ -1,4 +1,4 @@
-"""The results of trials as a labelled data set."""
+"""Conversion of the results of trials to a labelled data set."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def to_dataset(robot: Robot, trials: Mapping[str, Trial], attributes: Mapping[str, Any]) -> xarray.Dataset:
-    """Return the results of the trials of policies as a labelled data set.
+    """Convert the results of trials under several policies to a labelled data set.
 
     The dimensions are ``policy`` (``event-triggered``, ``all-time``), ``run``, ``tick`` (steps), ``instant`` (one more
     than ``tick``), ``state``, ``input``, ``link``, ``form`` (trigger values of not sending and of sending), and

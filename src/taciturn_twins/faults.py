@@ -1,4 +1,4 @@
-"""Faults of a robot, its camera, its links and its processes, with their times."""
+"""Faults of a robot, its camera, its links and its processes, with the times at which they begin and end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taciturn.extend import Displayed
 
 @dataclass(frozen=True, repr=False)
 class Kind(Displayed):
-    """The properties of one kind of fault.
+    """Default duration and default size of faults of one kind.
 
     Args:
         lasts: default duration in seconds; 0 for an instantaneous fault.
@@ -42,7 +42,7 @@ _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<start>[^+=@]+))?(\+(?P<lasts>[^+=@]+)
 
 @dataclass(frozen=True, repr=False)
 class Fault(Displayed):
-    """A fault, with its time and size.
+    """A fault with its start, its duration and its size (such as a force or an offset).
 
     Args:
         name: one of ``KINDS``.
@@ -67,13 +67,13 @@ class Fault(Displayed):
         return f"{self.name}{'' if self.name == 'gain' else f'@{self.start!r}'}{lasts}{size}"
 
     def ticks(self, tick: float) -> tuple[int, int]:
-        """Return the first step of the fault and the first step after it; ``tick`` is the sampling period."""
+        """Return the first step of the fault and the first step after it; ``tick`` is the sampling period in s."""
         first = round(self.start / tick)
         return first, max(first + 1, round((self.start + self.lasts) / tick))
 
 
 def parse_fault(text: str) -> Fault:
-    """Return the fault given as ``NAME@START+SECONDS=SIZE``; omitted parts have the default values of the kind.
+    """Parse a fault from ``NAME@START+SECONDS=SIZE``; omitted parts get the default values of this kind of fault.
 
     Raises:
         ProblemError: the text has another form, the name is unknown, or a number is out of range.
@@ -105,14 +105,14 @@ def parse_fault(text: str) -> Fault:
 
 
 def window(faults: Sequence[Fault], name: str, tick: float) -> tuple[int, int] | None:
-    """Return the first step of an outage and the first step after it, or None if there is no such fault.
+    """Return the first step of the fault ``name`` and the first step after it; None if no such fault is given.
 
     Raises:
         ProblemError: the fault is given twice.
     """
     found = [fault for fault in faults if fault.name == name]
     if len(found) > 1:
-        raise ProblemError(f"the fault {name} is given {len(found)} times; expected at most one")
+        raise ProblemError(f"the fault {name} is given {len(found)} times; expected it at most once")
     return found[0].ticks(tick) if found else None
 
 

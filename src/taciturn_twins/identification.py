@@ -1,4 +1,4 @@
-"""Identification of a robot's model from an experiment with known inputs and positions measured by the camera."""
+"""Identification of a robot's model from an experiment with known inputs and positions that the camera measures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SEEN = 0.9  # fraction of the pictures that must show the marker
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Result):
-    """An identified model x⁺ = x + B u + w, y = x + v of a robot, per step, in metres, radians and input units.
+    """Identified model x⁺ = x + B u + w, y = x + v of a robot for one step, in metres, radians and units of the input.
 
     The standard errors treat each run as one sample, because disturbances are correlated within a run.
 
@@ -56,7 +56,7 @@ class Identification(Result):
 
 
 def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identification:
-    """Identify the model of a robot by an open-loop experiment with its camera.
+    """Identify a robot's model from an open-loop experiment that its camera observes.
 
     Each run starts at rest at a random place of the workspace. The random inputs keep the nominal robot in the
     workspace, and are of the same type as in the mission (steps, or curves in the plane): because of inertia, B depends

@@ -1,4 +1,4 @@
-"""Runs of a twin for the live page, in real time; users can pause a run, push the robot, and tune the policy."""
+"""Live page of a twin in real time, on which users can pause the run, push the robot, and tune the policy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def watch_twin(
     stopped: Callable[[], bool] = lambda: False,
     ended: Callable[[TwinRun], object] = lambda run: None,
 ) -> TwinRun | None:
-    """Run missions one after another on a live page, each together with the loop that sends every sample.
+    """Run missions one after another on a live page, next to a second loop that sends every sample.
 
     Users can set one parameter of the policy on the page. A new value ends the round, and the next round uses it.
 
@@ -103,7 +103,7 @@ class _Round:
         self._baseline = Baseline(prepared, setup, problem, page.compare, self._push)
 
     def run(self) -> tuple[Trial, Trial] | None:
-        """Run the watched loop and the loop that sends every sample; return both trials, or None if incomplete."""
+        """Run the first loop and the loop that sends every sample; return both trials, or None if one ends early."""
         complete = False
         watcher = Watcher(self._before, self._steps.add, self._ends, self._start, self._steps.finish, True)
         try:

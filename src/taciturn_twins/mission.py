@@ -27,7 +27,7 @@ ALL_TIME: Mapping[str, Mapping[str, float]] = {  # parameters at which a policy 
 
 @dataclass(frozen=True, repr=False)
 class Mission(Displayed):
-    """The mission of a robot: a finite-horizon problem with a policy.
+    """The mission of a robot: a finite-horizon control problem with a policy.
 
     Args:
         cost: table ``cost`` of the problem file.
@@ -73,7 +73,7 @@ MISSIONS: Mapping[str, Mission] = {
 
 
 def check_parameters(robot: Robot, parameters: Mapping[str, float]) -> None:
-    """Check the names and ranges of policy parameters.
+    """Raise an error if a parameter of the policy is unknown or out of range.
 
     Raises:
         ProblemError: the policy of the robot's mission has no such parameter, or a value is negative.
@@ -81,7 +81,9 @@ def check_parameters(robot: Robot, parameters: Mapping[str, float]) -> None:
     known = [key for key in MISSIONS[robot.name].policy if key != "kind"]
     for name, value in parameters.items():
         if name not in known:
-            raise ProblemError(f"the policy of the {robot.name} has no parameter {name}; expected {' or '.join(known)}")
+            raise ProblemError(
+                f"the policy of the robot {robot.name} has no parameter {name}; expected {' or '.join(known)}"
+            )
         number(name, value, 0.0, closed=True)
 
 
@@ -119,7 +121,7 @@ def tables_of(robot: Robot, found: Identification, parameters: Mapping[str, floa
 
 
 def all_time(problem: Problem) -> Problem:
-    """Return the problem with policy parameters for which the policy sends every sample.
+    """Return the problem with those policy parameters with which the policy sends every sample.
 
     Raises:
         ProblemError: robots cannot run this kind of policy.
@@ -133,7 +135,7 @@ def all_time(problem: Problem) -> Problem:
 
 
 def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
-    """Return the policy of a problem after checking that the robot can run it.
+    """Raise an error if a robot cannot run a problem; otherwise return the policy of the problem.
 
     Raises:
         ProblemError: the problem has another plant, no horizon, or a policy that robots cannot run.
@@ -141,20 +143,23 @@ def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
     plant, n, m = problem.plant, len(robot.states), len(robot.inputs)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
-            f"the plant of {name} is continuous in time; expected dt = {robot.tick:g}, as for the {robot.name}"
+            f"the plant of {name} is continuous in time; expected dt = {robot.tick:g}, as for the robot {robot.name}"
         )
     found = f"{plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs and dt = {plant.dt}"
     if (plant.states, plant.inputs, plant.outputs, plant.dt) != (n, m, n, robot.tick):
         raise ProblemError(
-            f"the plant of {name} is not that of the {robot.name}: it has {found}; expected {n} states, {m} inputs, "
-            f"{n} outputs and dt = {robot.tick:g}"
+            f"the plant of {name} is not that of the robot {robot.name}: it has {found}; expected {n} states, {m} "
+            f"inputs, {n} outputs and dt = {robot.tick:g}"
         )
     if not np.array_equal(plant.C, np.eye(n)):
         raise ProblemError(
-            f"{name} has a C that is not I; expected no C: the camera measures {', '.join(robot.states)}"
+            f"the matrix C of {name} is not the identity matrix; expected no C: the camera measures "
+            f"{', '.join(robot.states)}"
         )
     if problem.cost.horizon is None:
-        raise ProblemError(f"{name} has no cost.horizon; expected a horizon, since the mission of a robot is finite")
+        raise ProblemError(
+            f"the problem {name} has no cost.horizon; expected a horizon, since the mission of a robot is finite"
+        )
     all_time(problem)
     policy = problem.design()
     if len(roles(policy)) < 3 or {step.link for step in policy.steps if isinstance(step, Send)} != {
@@ -169,7 +174,7 @@ def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
 
 
 def write_toml(tables: Mapping[str, Any], prefix: str = "") -> str:
-    """Return tables as the text of a problem file, with all digits of each number."""
+    """Return the text of a problem file with the given tables, in which numbers have all their digits."""
     lines = [f"{key} = {_written(value)}" for key, value in tables.items() if not isinstance(value, Mapping)]
     for key, value in tables.items():
         if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""The robot of chapter 7: it has three omni-directional wheels, and a camera above the field measures its tag."""
+"""The robot of chapter 7: it drives on three omni-directional wheels, and a camera above the field sees its tag."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MARKER = Tag(7, SIDE, (0.0, 0.0, PLATE + RADIUS - 0.0002))  # 0.2 mm lower, bec
 
 
 def build_omni(variant: str) -> Scene:
-    """Return the scene of the omni-directional robot.
+    """Return the simulated scene of the omni-directional robot.
 
     In the variant ``capsule``, a wheel is a capsule with low friction along its axle and high friction across it. In
     the variant ``rollers``, a wheel has two rows of passive rollers on hinges, with equal friction in all directions.
@@ -54,7 +54,7 @@ def build_omni(variant: str) -> Scene:
 
 
 def wheel_speeds(inputs: Array, heading: float) -> Array:
-    """Return the speed of each wheel in rad/s for a velocity in the world frame (inverse kinematics).
+    """Compute each wheel's speed in rad/s for a velocity in world coordinates (inverse kinematics).
 
     Args:
         inputs: vx and vy in m/s, ω in rad/s, (3,).

@@ -1,4 +1,4 @@
-"""The results of a trial, assembled from the logs and reports of its processes."""
+"""The results of a trial, put together from the logs and reports of its processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Lines = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trial(Displayed):
-    """The runs of a twin under one policy.
+    """Results of the runs of a twin under one policy.
 
     Args:
         problem: problem of the runs.
@@ -61,13 +61,13 @@ class Trial(Displayed):
 
     @property
     def vision(self) -> Array:
-        """Measurement error of each picture, (pictures, n)."""
+        """Error of each measurement from a picture in which the camera found the marker, shape (pictures, n)."""
         off = self.seen - self.poses[:, :-1]
         return off[np.isfinite(off).all(axis=2)]
 
     @property
     def off(self) -> Array:
-        """Distance of each robot from its reference at each step, (runs, N + 1), in metres."""
+        """Distance in metres of each robot from its reference at each step, shape (runs, N + 1)."""
         poses, reference = self.poses[..., :2], self.problem.reference
         away = poses if reference is None else poses - reference.states[: poses.shape[1], :2]
         return np.sqrt((away**2).sum(axis=2))
@@ -75,7 +75,7 @@ class Trial(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Told(Displayed):
-    """The logs and reports of the processes of a trial.
+    """The logs and the reports of the processes of a trial.
 
     Args:
         lines: log of each node, by role.
@@ -97,7 +97,7 @@ class Told(Displayed):
 def put_together(
     problem: Problem, plants: Sequence[TwinPlant], costs: Sequence[Sequence[float]], told: Told, seconds: float
 ) -> Trial:
-    """Return the results of a trial up to the last step that all robots completed."""
+    """Put together the results of a trial, up to the last step that all robots have completed."""
     runs, ticks = len(plants), min(map(len, costs))
     horizon = problem.cost.horizon
     paid = np.array([cost[:ticks] for cost in costs])
@@ -133,7 +133,7 @@ def put_together(
 
 
 def trigger_values(line: Mapping[str, Any]) -> list[float]:
-    """Return the two trigger values, without and with a send, that the controller logged in a step."""
+    """Return the two values that the trigger compared in a step, for not sending and for sending, from a log line."""
     return [value for name, value in line.items() if name.startswith("option_")]
 
 
@@ -220,6 +220,6 @@ def _notes(told: Told) -> tuple[str, ...]:
 
 
 def mean(values: Array) -> Estimate:
-    """Return the mean of independent runs, with its standard error if there are two or more."""
+    """Return the mean over independent runs, with its standard error if there are at least two runs."""
     error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
     return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")

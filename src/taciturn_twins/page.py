@@ -1,23 +1,33 @@
-"""The live page of a run: a browser shows the robot and its packets, and users can disturb the robot.
+"""The live page of a run: a browser shows the robot and its packets, and its users can disturb the robot.
 
 A run calls ``begin`` at the start of a round, ``put`` for each step, ``compare`` for each step of the loop that sends
 every sample, ``show`` for a picture, and ``asked`` for the requests of users. These calls return immediately, without
-waiting for a browser.
+waiting for a browser. ``GET /events`` returns the events, and ``GET /picture`` the newest picture as JPEG; ``POST
+/ask`` accepts a request as JSON, e.g. ``{"ask": "value", "value": 0.01}``.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, count, number
-from taciturn_twins.access_control import AccessControl
-from taciturn_twins.feed import Feed, encode
-from taciturn_twins.server import Server
+from taciturn.extend import Displayed, choice, count, number
 from taciturn_udp.endpoint import Address
+from taciturn_web.events import Log, encode
+from taciturn_web.guard import guarded, hosts_of, new_token, read_json
+from taciturn_web.serving import Served
 
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+WAITING = 64  # largest number of requests that wait for the run
+LARGEST = 256  # largest body of a request in bytes
+ASKS = ("pause", "value", "push")
 KEYS = (
     "tick", "time", "state", "estimate", "input", "trigger", "threshold", "sent", "arrived", "packets", "drops",
     "cost", "degraded",
@@ -27,7 +37,7 @@ COMPARED = ("tick", "state", "cost", "packets")  # keys of a step of the loop th
 
 @dataclass(frozen=True, repr=False)
 class About(Displayed):
-    """The description of a round, which the page shows when the round begins.
+    """Facts about a round of the live page, which the page shows when the round begins.
 
     Args:
         robot: "rover", drawn as its first state over time, or "omni", drawn as its second state over its first.
@@ -78,30 +88,33 @@ class About(Displayed):
         if self.bound is not None:
             number("bound", self.bound)
         if len(self.losses) != len(self.links):
-            raise ProblemError(f"losses has {len(self.losses)} numbers; expected one for each of {self.links}")
+            raise ProblemError(
+                f"'losses' has {len(self.losses)} numbers; expected one number for each of the links {self.links}"
+            )
         for link, loss in zip(self.links, self.losses, strict=True):
             number(f"the loss of the {link} link", loss, 0.0, 1.0, closed=True)
         needed = 2 if self.robot == "omni" else 1
         if len(self.states) < needed:
             raise ProblemError(
-                f"states has {len(self.states)} names; expected at least {needed} for the robot {self.robot!r}"
+                f"'states' has {len(self.states)} names; expected at least {needed} for the robot {self.robot!r}"
             )
         for state in self.reference:
             if not needed <= len(state) <= len(self.states):
                 raise ProblemError(
-                    f"reference holds a state of {len(state)} numbers; expected {needed} to {len(self.states)} numbers"
+                    f"'reference' contains a state of {len(state)} numbers; expected {needed} to {len(self.states)} "
+                    "numbers"
                 )
 
 
 class Page:
-    """The live page of a run, served by a separate thread.
+    """The live page of a run, served by a thread of its own; every method may be called from any thread.
 
     Args:
         bind: address to listen on, e.g. ("127.0.0.1", 8000); with port 0, the system chooses a free port.
-        token: access token of the page; required if other machines can reach the page.
+        token: access token, printable ASCII without spaces; default: a random one, which the URL contains.
 
     Raises:
-        ProblemError: the port is in use, or other machines can reach the page and no token is given.
+        ProblemError: the port is in use, or the token is not valid.
 
     Example:
         >>> with Page(("127.0.0.1", 0)) as page:
@@ -112,32 +125,41 @@ class Page:
 
     def __init__(self, bind: Address, token: str | None = None) -> None:
         """Start the server of the page."""
-        self._access, self._feed = AccessControl(bind, token), Feed()
-        self._server: Server | None = Server(bind, self._feed, self._access)
-        self._about: About | None = None
-        self.address: Address = self._server.address
+        from starlette.routing import Route
 
-    @property
-    def url(self) -> str:
-        """URL of the page on this machine; on other machines, replace 127.0.0.1 with the address of this machine."""
-        host, port = self.address
-        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{port}/{self._access.query}"
+        self._lock = threading.Lock()
+        self._log, self._picture, self._pictures = Log("wait"), b"", 0
+        self._about: About | None = None
+        self._asked: list[tuple[str, float]] = []
+        self._paused = False
+        routes = [
+            Route("/events", self._log.answer),
+            Route("/picture", self._send_picture),
+            Route("/ask", self._hear, methods=["POST"]),
+        ]
+        given, folder = new_token() if token is None else token, files("taciturn_twins") / "web"
+        self._served = Served(guarded(routes, token=given, hosts=hosts_of(bind), assets=folder), bind)
+        self.address, self.url = self._served.address, self._served.url
 
     def wait(self, text: str) -> None:
-        """Show a text about the current preparation until the next round begins."""
-        self._feed.tell("wait", encode("text", text))
+        """Show a text about preparations, until the next round begins."""
+        self._log.tell("wait", encode("text", text))
 
     def begin(self, about: About) -> None:
-        """Begin a round: the page clears the charts when the first step arrives.
+        """Begin a round on the page; the page clears its charts when the first step arrives.
 
         Raises:
             ProblemError: a number is not finite.
         """
-        self._feed.begin(asdict(about), about.parameter)
-        self._about = about
+        text = encode("about", asdict(about))
+        with self._lock:
+            self._about = about
+            self._log.begin("begin", text)
+            if self._paused:
+                self._tell_request("pause", 1.0)
 
     def put(self, row: Mapping[str, Any]) -> None:
-        """Show one step of the watched loop.
+        """Show one step of the main loop on the page.
 
         Args:
             row: dict of ``tick``, the number of the step in the round; ``time`` in seconds; ``state``, ``estimate`` (or
@@ -154,10 +176,10 @@ class Page:
                 _check_size(key, row[key], names)
         for key in ("sent", "arrived", "packets", "drops"):
             _check_links(key, row[key], about.links)
-        self._feed.tell("tick", encode(f"the row of step {row['tick']}", dict(row)))
+        self._log.tell("tick", encode(f"the row of step {row['tick']}", dict(row)))
 
     def compare(self, row: Mapping[str, Any]) -> None:
-        """Show one step of the loop that sends every sample.
+        """Show one step of the second loop, which sends every sample.
 
         Args:
             row: dict of ``tick``, ``state``, ``cost`` so far, and ``packets`` so far by link, as in ``put``.
@@ -168,36 +190,41 @@ class Page:
         about = self._check(row, COMPARED)
         _check_links("packets", row["packets"], about.links)
         found = {key: row[key] for key in COMPARED}
-        self._feed.tell("compared", encode(f"the compared row of step {row['tick']}", found))
+        self._log.tell("compared", encode(f"the compared row of step {row['tick']}", found))
 
     def show(self, picture: bytes) -> None:
-        """Show the newest picture of the camera, a JPEG.
+        """Show the camera's newest picture, a JPEG, on the page.
 
         Raises:
             ProblemError: the picture is not a JPEG.
         """
         if not picture.startswith(b"\xff\xd8"):
-            raise ProblemError(f"picture begins with {picture[:4]!r}; expected a JPEG, which begins with b'\\xff\\xd8'")
-        self._feed.show(picture)
+            raise ProblemError(
+                f"'picture' begins with {picture[:4]!r}; expected a JPEG, which begins with b'\\xff\\xd8'"
+            )
+        with self._lock:
+            self._picture, self._pictures = picture, self._pictures + 1
+            self._log.replace("picture", str(self._pictures))
 
     def note(self, text: str, step: int | None = None) -> None:
-        """Add a line to the events of the page, at a given step or, by default, at the newest step."""
-        self._feed.tell("note", encode("text", {"text": text, "step": step}))
+        """Add a line to the page's list of events, at the given step or else at the newest step."""
+        self._log.tell("note", encode("text", {"text": text, "step": step}))
 
     def asked(self) -> list[tuple[str, float]]:
-        """Return the requests of users since the last call, in order.
+        """Return the requests that users have made since the last call, in order of arrival.
 
         Returns:
             Pairs: ("pause", 1.0) to pause, ("pause", 0.0) to resume, ("push", 1.0) to push the robot, or ("value", v)
             to set the tuning parameter to v.
         """
-        return self._feed.asked()
+        with self._lock:
+            found, self._asked = self._asked, []
+        return found
 
     def close(self) -> None:
-        """Notify all browsers that the run has ended, and stop the server."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
+        """Tell all browsers that the run has ended, and stop the server."""
+        self._log.end()
+        self._served.close()
 
     def __enter__(self) -> Page:
         """Return the page, which is closed at the end of the ``with`` block."""
@@ -207,10 +234,48 @@ class Page:
         """Close the page."""
         self.close()
 
+    async def _send_picture(self, _: Request) -> Response:
+        from starlette.responses import PlainTextResponse, Response
+
+        if not self._picture:
+            return PlainTextResponse("there is no picture yet", 404)
+        return Response(self._picture, media_type="image/jpeg")
+
+    async def _hear(self, request: Request) -> Response:
+        """Store a request for the run, and show it on all pages; ``ProblemError`` refuses the request."""
+        from starlette.responses import JSONResponse
+
+        asked = await read_json(request, LARGEST)
+        try:
+            ask, value = choice("ask", str(asked["ask"]), ASKS), asked["value"]
+        except (TypeError, KeyError):
+            raise ProblemError(
+                'the request is malformed; expected JSON such as {"ask": "value", "value": 0.01}'
+            ) from None
+        with self._lock:
+            if self._about is None:
+                raise ProblemError("no round has begun; expected a request during a round: try again later")
+            name, least, largest = self._about.parameter
+            known = number(name, value, least, largest, closed=True) if ask == "value" else number("value", value)
+            if ask != "value" and known not in (0.0, 1.0):
+                raise ProblemError(f"the value of {ask!r} is {known:g}; expected 0 or 1")
+            if len(self._asked) >= WAITING:
+                raise ProblemError(
+                    f"{WAITING} requests are waiting for the run; expected fewer waiting requests: check whether the "
+                    "run has stopped"
+                )
+            self._asked.append((ask, known))
+            self._paused = known == 1.0 if ask == "pause" else self._paused
+            self._tell_request(ask, known)
+        return JSONResponse({})
+
+    def _tell_request(self, ask: str, value: float) -> None:
+        self._log.tell("asked", encode(ask, {"ask": ask, "value": value}))
+
     def _check(self, row: Mapping[str, Any], keys: tuple[str, ...]) -> About:
         """Return the description of the round, if a row contains the given keys and a state of the right size."""
         if self._about is None:
-            raise ProblemError("a step is shown before a round begins; expected a call of begin first")
+            raise ProblemError("a step is shown before a round begins; expected a call of the method 'begin' first")
         missing = [key for key in keys if key not in row]
         if missing:
             raise ProblemError(
@@ -224,7 +289,8 @@ def _check_size(key: str, values: Any, names: tuple[str, ...]) -> None:
     """Reject a vector of the wrong size."""
     if len(values) != len(names):
         raise ProblemError(
-            f"{key} of the row of a step has {len(values)} numbers; expected {len(names)}: {', '.join(names)}"
+            f"the entry {key} of the row of a step has {len(values)} numbers; expected {len(names)} numbers: "
+            f"{', '.join(names)}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Geometry of polygons in a picture: area, centroid, and distances of points from a polygon."""
+"""Geometry of polygons in a picture: area, centroid, and distances from points to a polygon."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ def measure_polygon(corners: Array) -> tuple[float, Array]:
 
 
 def measure_outside(points: Array, corners: Array) -> Array:
-    """Return the distances (points,) of points (points, 2) from a convex polygon, negative for points inside.
+    """Return the signed distance of each point (points, 2) from a convex polygon, (points,); it is negative inside.
 
-    Distances are measured to the lines through the edges, so beyond a corner they are smaller than the distance to it.
+    Distances are measured to the lines through the edges, so beyond a corner they are smaller than the distance to the
+    corner.
 
     Example:
         >>> square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])

@@ -1,4 +1,4 @@
-"""The preparation of a robot: calibration of its camera and identification of its model."""
+"""Preparation of a robot: its camera is calibrated, then its model is identified with this camera."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taciturn_twins.robot import Robot
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prepared(Displayed):
-    """A robot whose camera is calibrated and whose model is identified.
+    """A robot with a calibrated camera and an identified model.
 
     Args:
         robot: the robot.
@@ -31,12 +31,12 @@ class Prepared(Displayed):
     seed: int
 
     def tables(self, parameters: Mapping[str, float]) -> dict[str, Any]:
-        """Return the tables of the robot's problem file with the given policy parameters."""
+        """Return the tables of the robot's problem file, with the given policy parameters."""
         return tables_of(self.robot, self.model, parameters)
 
 
 def prepare(name: str, seed: int = 0) -> Prepared:
-    """Calibrate the camera of a robot with landmarks at known positions, and identify a model with that camera.
+    """Calibrate the camera of a robot from points at known positions, then identify the model with that camera.
 
     Args:
         name: ``"rover"`` or ``"omni"``.

@@ -1,4 +1,4 @@
-"""The record of a twin's run: all numbers as a NetCDF file, and the camera pictures as an animation."""
+"""Record of a twin's run: all numbers in a NetCDF file, and the pictures of the camera in an animation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RECORDS, VIDEOS = (".nc",), (".webp",)
 
 
 def check_record(path: Path) -> None:
-    """Reject an invalid file name for a record.
+    """Raise an error if the name of a file for a run's results is invalid.
 
     Raises:
         ProblemError: the extension is not .nc, or the folder is not writable.
@@ -24,7 +24,7 @@ def check_record(path: Path) -> None:
 
 
 def check_video(path: Path) -> None:
-    """Reject an invalid file name for a video.
+    """Raise an error if the name of a file for a run's pictures is invalid.
 
     Raises:
         ProblemError: the extension is not .webp, or the folder is not writable.
@@ -33,7 +33,7 @@ def check_video(path: Path) -> None:
 
 
 def write_record(run: TwinRun, path: Path) -> None:
-    """Write all results to a NetCDF file.
+    """Write all results of a run to a NetCDF file.
 
     Raises:
         ProblemError: the extension is not .nc, or the folder is not writable.
@@ -44,7 +44,7 @@ def write_record(run: TwinRun, path: Path) -> None:
 
 
 def write_video(run: TwinRun, path: Path) -> None:
-    """Write the camera pictures of the first robot as an animation; requested pictures show the detected marker.
+    """Write the first robot's camera pictures as an animation; in requested pictures, the detected marker is drawn.
 
     Raises:
         ProblemError: the extension is not .webp, or the folder is not writable.

@@ -1,4 +1,4 @@
-"""The report of a twin's run as a JSON document and as lines of text."""
+"""Report on a twin's run, as a JSON document and as lines of text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taciturn_udp.averages import measured
 
 
 def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:
-    """Return the identified rates of change per second and per unit of each input, next to those of the data sheet."""
+    """Return lines that compare the identified rate of change per second for each input with the data sheet."""
     lines: list[tuple[str, str]] = []
     for state, values, errors, nominal in zip(
         robot.states, model.B / robot.tick, model.B_standard_error / robot.tick, robot.rate, strict=True
@@ -28,13 +28,13 @@ def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:
 
 
 def listed(counted: Mapping[str, Any]) -> str:
-    """Return numbers with their names as text."""
+    """Return a text that lists numbers with their names."""
     shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in counted.values())
     return ", ".join(f"{text} {name.replace('_', ' ')}" for text, name in zip(shown, counted, strict=True))
 
 
 def vision(off: Array, robot: Robot) -> dict[str, Any]:
-    """Return the bias and standard deviation of the camera measurements, in millimetres and degrees."""
+    """Return bias and standard deviation of the measurements by camera, in millimetres and degrees."""
     scale = np.array([1e3, 1e3, np.degrees(1.0)])[: off.shape[1]]
     units = ("mm", "mm", "deg")
     if not len(off):
@@ -51,7 +51,7 @@ def vision(off: Array, robot: Robot) -> dict[str, Any]:
 
 
 def summary_of(trial: Trial) -> dict[str, Any]:
-    """Return the cost, the rates and the packets of a trial."""
+    """Return a trial's cost, rates and packet counts."""
     return {
         "cost": measured(mean(trial.totals)),
         "rates": {link: measured(mean(sent.mean(axis=1))) for link, sent in trial.sent.items()},

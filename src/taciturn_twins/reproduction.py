@@ -1,12 +1,13 @@
-"""The experiments of chapters 6 and 7 of the thesis with twins: tables of printed and computed numbers."""
+"""Experiments of chapters 6 and 7 of the thesis, repeated with digital twins and compared with the printed numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taciturn.extend import Array, Panel, Progress, Series, draw
+from taciturn.extend import Array, Panel, Progress, Series, Thing, draw
 from taciturn.model.estimate import Estimate
 from taciturn_thesis.chapter7 import TRACKING_PRICES
 from taciturn_thesis.reproduction import Reproduction, Row, Table
@@ -27,7 +28,7 @@ PRINTED = {  # numbers of section 6.6
 
 
 def chapter6(seed: int, progress: Progress) -> Reproduction:
-    """Return the experiments of chapter 6 with the twin of the rover, next to the printed numbers.
+    """Repeat the experiments of chapter 6 with the twin of the rover, and compare them with the printed numbers.
 
     Source: khashooei2017
     """
@@ -50,18 +51,17 @@ def chapter6(seed: int, progress: Progress) -> Reproduction:
     )
     ticks = [float(k) for k in range(len(schedule.queries))]
     values = [
-        Series(ticks, schedule.value.tolist(), "value of a question, h", color=0),
-        Series([0.0, ticks[-1]], [schedule.price] * 2, "price, ζ", "dotted", color=7),
+        Series(ticks, schedule.value.tolist(), "value of a question, h"),
+        Series([0.0, ticks[-1]], [schedule.price] * 2, "price, ζ", thing="limits"),
     ]
     figure = draw(
         [
             Panel(running_costs(trials), ylabel="cost per step", title=f"Figures 6.5 and 6.8: mean of {RUNS} runs"),
             Panel(inputs(trials), ylabel="input (%)", title="Figures 6.6 and 6.9: one run"),
-            Panel(sends(run.trial), ylabel="sent"),
+            Panel(lanes=sends(run.trial)),
             Panel(values, ylabel="cost", title="Figure 6.7: requests to the camera"),
             Panel(positions(trials), "step", "x (m)", "Figure 6.10: position and estimate"),
-        ],
-        height=14.0,
+        ]
     )
     notes = (
         f"{RUNS} runs from x_0 = 0.7 m with a model identified in the twin: the cost of sending every sample is "
@@ -78,7 +78,7 @@ def chapter6(seed: int, progress: Progress) -> Reproduction:
 
 
 def chapter7(seed: int, progress: Progress) -> Reproduction:
-    """Return the experiment of chapter 7 with the twin of the omni-directional robot, next to the printed numbers.
+    """Repeat the experiment of chapter 7 with the twin of the omni-directional robot, and compare it with the thesis.
 
     Source: khashooei2017
     """
@@ -134,10 +134,10 @@ def _path(run: TwinRun) -> Figure:
 def _costs(rows: list[Row]) -> Figure:
     prices = [float(row.setting["λ"]) for row in rows]
     found = {name: [row.computed[name] for row in rows] for name in ("J", "J_all + λN", "J_all")}
-    styles = {"J": "line", "J_all + λN": "dotted", "J_all": "dashed"}
+    things: Mapping[str, Thing] = {"J": "policy", "J_all + λN": "guarantee", "J_all": "every sample"}
     series = [
-        Series(prices, [e.value for e in column], name, styles[name], [e.standard_error for e in column], color)  # type: ignore[arg-type]
-        for color, (name, column) in enumerate(found.items())
+        Series(prices, [e.value for e in column], name, error=[e.standard_error for e in column], thing=things[name])
+        for name, column in found.items()
     ]
     return draw([Panel(series, "price of a send, λ (cost)", "cost per mission", "Figure 7.6")])
 

@@ -1,4 +1,4 @@
-"""The data that describe a robot: inputs, scene, marker, and pose of the camera."""
+"""The data that describe a robot: its inputs, scene and marker, and the pose of its camera."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 640, 480  # size of all pictures in pixels
 
 @dataclass(frozen=True, repr=False)
 class Lens(Displayed):
-    """The true optics of the camera, which only the simulated camera uses; image processing uses a calibration.
+    """True properties of the simulated camera's lens; image processing uses a calibration instead.
 
     Args:
         focal: focal length, in pixels.
@@ -41,7 +41,7 @@ class Lens(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Disc(Displayed):
-    """A round marker of one colour: radius and height above the ground in metres, and range of the y coordinate."""
+    """A round marker of one colour: radius and height above the ground in metres, and the range of its y coordinate."""
 
     colour: Colour
     radius: float
@@ -51,7 +51,7 @@ class Disc(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Tag(Displayed):
-    """An ArUco tag, with its number (0 to 49), the side of its black square, and its centre, in metres."""
+    """An ArUco tag: its number (0 to 49), the side length of its black square and its centre, in metres."""
 
     number: int
     side: float
@@ -59,14 +59,14 @@ class Tag(Displayed):
 
     @property
     def corners(self) -> Array:
-        """Corners of the black square, clockwise from the upper left, (4, 3)."""
+        """Corners of the black square, clockwise from the upper left, shape (4, 3), in metres."""
         h = self.side / 2
         return np.array(self.centre) + np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
 
 
 @dataclass(frozen=True, repr=False)
 class Cube(Displayed):
-    """A cube of one colour, with its centre and half its side length, in metres."""
+    """A cube of one colour: its centre and half its side length, in metres."""
 
     colour: Colour
     centre: Point
@@ -74,14 +74,14 @@ class Cube(Displayed):
 
     @property
     def corners(self) -> Array:
-        """Corners of the cube, (8, 3)."""
+        """Corners of the cube, shape (8, 3), in metres."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.array(self.centre) + self.half * signs
 
 
 @dataclass(frozen=True, repr=False)
 class Robot(Displayed):
-    """The data that describe a robot.
+    """Data of a robot: its inputs, its scene, its marker, and the pose of its camera.
 
     Args:
         name: name of the robot.
@@ -131,15 +131,15 @@ class Robot(Displayed):
 
     @property
     def seen(self) -> int:
-        """Number of coordinates that determine a picture: 7 for the free body, and one per wheel."""
+        """Number of coordinates from which a picture is rendered: 7 for the free body, and one for each wheel."""
         return FREE + len(self.joints)
 
     @property
     def turns(self) -> bool:
-        """True if the last state is a heading."""
+        """Whether the last state of the robot is a heading."""
         return len(self.states) == 3
 
     @property
     def B(self) -> Array:
-        """Input matrix B of x⁺ = x + B u per step, from the data sheet, (states, inputs)."""
+        """Input matrix B of the model x⁺ = x + B u per step, computed from the data sheet, shape (states, inputs)."""
         return frozen(self.tick * np.array(self.rate))

@@ -1,4 +1,4 @@
-"""The robot of chapter 6: a rover with six driven wheels and a pink marker that moves on a line before a webcam."""
+"""The robot of chapter 6: a rover with six driven wheels and a pink marker, which drives on a line before a webcam."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CUBES = (
 
 
 def build_rover(variant: str) -> Scene:
-    """Return the scene of the rover, which has only one variant.
+    """Return the simulated scene of the rover; it has no variants.
 
     Raises:
         ProblemError: MuJoCo is missing.

@@ -1,4 +1,4 @@
-"""Runs of a robot's twin under a policy, compared with a policy that sends every sample."""
+"""Run a robot's twin under a policy, and compare it with the policy that sends every sample."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, Progress, Size, percent
+from taciturn.extend import Progress, Size, StyleName, percent
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
+from taciturn.model.result import SPLICED, VERDICT, Field, Result
 from taciturn.problem import load, parse
 from taciturn.study.record import origin
+from taciturn.study.sentences import compared_text, share_text
 from taciturn_twins.catalogue import find_robot
 from taciturn_twins.dataset import to_dataset
 from taciturn_twins.figures import figure_of
@@ -30,9 +32,48 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def _always(run: TwinRun) -> float | None:
+    """Return the mean cost of sending every sample."""
+    return None if run.always is None else float(run.always.totals.mean())
+
+
+def _compared(run: TwinRun) -> str:
+    always = _always(run)
+    if always is None:
+        return ""
+    return f"{always:.6g}   (this policy: {percent(run.cost.value / always - 1, 1, signed=True)})"
+
+
+def _driven(run: TwinRun) -> str:
+    robot, (runs, steps) = run.prepared.robot, run.trial.costs.shape
+    return f"{robot.name}, {runs} x {steps} steps of {robot.tick:g} s in {run.seconds:.1f} s"
+
+
+def _modelled(run: TwinRun) -> list[tuple[str, str]]:
+    return model_lines(run.prepared.model, run.prepared.robot)
+
+
+def _sent(run: TwinRun) -> list[tuple[str, str]]:
+    """Return what happened to the datagrams of each link."""
+    return [
+        (f"link, {link}", listed(cast("Mapping[str, Any]", counted)))
+        if isinstance(counted, Mapping)
+        else (link.replace("_", " "), str(counted))
+        for link, counted in run.trial.datagrams.items()
+    ]
+
+
+def _seen(run: TwinRun) -> list[tuple[str, str]]:
+    """Return how far the camera was off in each state."""
+    return [
+        (f"camera, {state}", listed(cast("Mapping[str, Any]", off)) if isinstance(off, Mapping) else str(off))
+        for state, off in vision(run.trial.vision, run.prepared.robot).items()
+    ]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class TwinRun(Displayed):
-    """The results of a robot's twin under a policy, and optionally under a policy that sends every sample.
+class TwinRun(Result):
+    """Results of a robot's twin under a policy and, if requested, under a policy that sends every sample.
 
     Args:
         prepared: the robot, its camera and its model.
@@ -44,6 +85,34 @@ class TwinRun(Displayed):
         seconds: duration in real time, including calibration and identification.
     """
 
+    FIELDS: ClassVar[tuple[Field[TwinRun], ...]] = (
+        VERDICT,
+        Field("robot", "prepared.robot.name", say="robot", text=lambda run: _driven(run), part="method"),
+        Field("policy", "policy.kind", say="policy"),
+        Field("runs", lambda run: len(run.trial.totals)),
+        Field("rates", json=lambda rates: {link: measured(rate) for link, rate in rates.items()}),
+        Field("cost", json=measured, say="cost", text="{} per mission"),
+        Field("cost_all_time", _always, say="every-sample cost", text=lambda run: _compared(run)),
+        Field("cost_all_time_model", "policy.cost_all_time"),
+        Field("cost_bound", say="guarantee", text="at most {:.6g}, for the identified model"),
+        Field("rate", "rates", key="", say="rate, {}", text="{} per step"),
+        Field("all_time", "always", json=summary_of),
+        Field("vision", lambda run: vision(run.trial.vision, run.prepared.robot), say="", text=lambda run: _seen(run)),
+        Field("datagrams", lambda run: dict(run.trial.datagrams), say="", text=lambda run: _sent(run), after="rate"),
+        Field("seed", "setup.seed"),
+        Field("seed_of_preparation", "prepared.seed"),
+        Field("seconds", json=lambda seconds: round(seconds, 3)),
+        Field("ticks", lambda run: run.trial.costs.shape[1]),
+        Field("calibration", "prepared.calibration", say="camera", part="method",
+              text="{.error:.2f} pixels reprojection error of the landmarks"),
+        Field("model", "prepared.model", say="", text=lambda run: _modelled(run), part="method"),
+        Field("thesis", key="", say="thesis", text=lambda run: THESIS[run.prepared.robot.name], part="method"),
+        Field("faults", lambda run: [str(fault) for fault in run.setup.faults]),
+        Field("processes", lambda run: {name: dict(report) for name, report in run.trial.reports.items()}),
+        Field("notes", "trial.notes", say="note"),
+        Field("origin", lambda run: run.origin(), key=SPLICED),
+    )  # fmt: skip
+
     prepared: Prepared
     policy: Policy
     trial: Trial
@@ -53,37 +122,37 @@ class TwinRun(Displayed):
 
     @property
     def cost(self) -> Estimate:
-        """Mean total cost of a mission."""
+        """Total cost of a mission, averaged over the runs."""
         return mean(self.trial.totals)
 
     @property
     def rates(self) -> Mapping[str, Estimate]:
-        """Mean fraction of steps with a request to the camera and with a packet to the robot, by link."""
+        """Fraction of steps with a request to the camera or a packet to the robot, by link, averaged over the runs."""
         return {link: mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
 
     @property
     def cost_bound(self) -> float | None:
-        """Guaranteed cost for the identified model, or None with faults, which the theory excludes."""
+        """Guaranteed cost for the identified model; None if there are faults, which the theory does not cover."""
         return None if self.setup.faults or self.policy.guarantee is None else self.policy.guarantee.cost
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of the first run of each policy."""
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Plot the first run under each policy."""
         trials = {"event-triggered": self.trial} | ({} if self.always is None else {"every sample": self.always})
-        return figure_of(self.prepared.robot, trials, ax=ax, figsize=figsize)
+        return figure_of(self.prepared.robot, trials, ax=ax, figsize=figsize, style=style)
 
     def to_dataset(self) -> xarray.Dataset:
-        """Return all results as a labelled data set (``taciturn_twins.dataset``), with the JSON document."""
+        """Convert all results to a labelled data set, which also contains the results as a JSON document."""
         robot = self.prepared.robot
         trials = {"event-triggered": self.trial} | ({} if self.always is None else {"all-time": self.always})
         attributes = {"title": f"twin of the {robot.name}", "document": json.dumps(self.document())}
         return to_dataset(robot, trials, {**attributes, **self.origin()})
 
     def origin(self) -> dict[str, Any]:
-        """Return the data needed to reproduce the results: version, seed, method, and the digest of the problem."""
+        """Return the data that reproduce the results: version, seed, method, and the digest of the problem."""
         return origin(self.trial.problem, self.setup.seed, "simulation")
 
     def summary(self) -> Mapping[str, object]:
-        """Return the robot, the policy, the cost and the rates."""
+        """Return the robot, the policy, the cost and the rates, by name."""
         return {
             "robot": self.prepared.robot.name,
             "policy": self.policy.short(),
@@ -95,59 +164,15 @@ class TwinRun(Displayed):
             "notes": self.trial.notes,
         }
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn twin --json``."""
-        trial, robot = self.trial, self.prepared.robot
-        return {
-            "robot": robot.name,
-            "policy": self.policy.kind,
-            "runs": len(trial.totals),
-            "rates": {link: measured(rate) for link, rate in self.rates.items()},
-            "cost": measured(self.cost),
-            "cost_all_time": None if self.always is None else float(self.always.totals.mean()),
-            "cost_all_time_model": self.policy.cost_all_time,
-            "cost_bound": self.cost_bound,
-            "all_time": None if self.always is None else summary_of(self.always),
-            "vision": vision(trial.vision, robot),
-            "datagrams": dict(trial.datagrams),
-            "seed": self.setup.seed,
-            "seed_of_preparation": self.prepared.seed,
-            "seconds": round(self.seconds, 3),
-            "ticks": trial.costs.shape[1],
-            "calibration": self.prepared.calibration.document(),
-            "model": self.prepared.model.document(),
-            "faults": [str(fault) for fault in self.setup.faults],
-            "processes": {name: dict(report) for name, report in trial.reports.items()},
-            "notes": list(trial.notes),
-            **self.origin(),
-        }
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Return the printed lines of a run as pairs of name and value."""
-        robot, trial, model = self.prepared.robot, self.trial, self.prepared.model
-        runs, ticks = trial.costs.shape
-        lines = [
-            ("robot", f"{robot.name}, {runs} x {ticks} steps of {robot.tick:g} s in {self.seconds:.1f} s"),
-            ("camera", f"{self.prepared.calibration.error:.2f} pixels reprojection error of the landmarks"),
-        ]
-        lines += [*model_lines(model, robot), ("policy", self.policy.kind), ("cost", f"{self.cost} per mission")]
-        if self.always is not None:
-            always = float(self.always.totals.mean())
-            above = percent(self.cost.value / always - 1, 1, signed=True)
-            lines.append(("every-sample cost", f"{always:.6g}   (this policy: {above})"))
-        if self.cost_bound is not None:
-            lines.append(("guaranteed", f"at most {self.cost_bound:.6g}, for the identified model"))
-        lines += [(f"rate, {link}", f"{rate} per step") for link, rate in self.rates.items()]
-        for link, counted in trial.datagrams.items():
-            if isinstance(counted, Mapping):
-                lines.append((f"link, {link}", listed(cast("Mapping[str, Any]", counted))))
-            else:
-                lines.append((link.replace("_", " "), str(counted)))
-        for state, off in vision(trial.vision, robot).items():
-            text = listed(cast("Mapping[str, Any]", off)) if isinstance(off, Mapping) else str(off)
-            lines.append((f"camera, {state}", text))
-        lines += [("thesis", text) for text in THESIS[robot.name]]
-        return [*lines, *(("note", note) for note in trial.notes)]
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentences about the packets on each link, the cost compared with sending every sample, and the guarantee."""
+        sent = [f"{share_text(rate)} of the {link} packets" for link, rate in self.rates.items()]
+        always = _always(self)
+        cost = f"cost {self.cost} per mission" if always is None else compared_text(self.cost, always)
+        bound = self.cost_bound
+        proven = "no guarantee" if bound is None else f"at most {bound:.6g} proven for the identified model"
+        return (", ".join([*sent, cost, proven]),)
 
 
 def run_twin(
@@ -160,7 +185,7 @@ def run_twin(
     compare: bool = True,
     progress: Progress | None = None,
 ) -> TwinRun:
-    """Run a robot's twin as processes on this machine: world, camera, control unit, actuator, and links.
+    """Run a robot's twin as processes on this machine: robot, camera, controller, actuator, and links.
 
     Args:
         robot: ``"rover"``, ``"omni"``, or a prepared robot.
@@ -181,8 +206,8 @@ def run_twin(
     began, setup = time.monotonic(), setup or Setup()
     if file is not None and parameters:
         raise ProblemError(
-            f"{', '.join(parameters)} is given with {file}, which sets the parameters of the policy; expected only "
-            "one of the two"
+            f"parameters ({', '.join(parameters)}) are given with the file {file}, which sets the parameters of the "
+            "policy; expected either parameters or a file"
         )
     chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
     given = None if file is None else load(file, functions=functions)
@@ -199,22 +224,22 @@ def run_twin(
     return TwinRun(found, policy, trial, always, setup, time.monotonic() - began)
 
 
-def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], ticks: int | None = None) -> None:
-    """Reject a setup that a robot cannot run, before the robot is prepared.
+def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], steps: int | None = None) -> None:
+    """Raise an error, before the robot is prepared, if it cannot run the given setup.
 
     Args:
         robot: the robot.
         setup: the setup.
         parameters: policy parameters.
-        ticks: steps of the mission; default: those of the thesis.
+        steps: steps of the mission; default: those of the thesis.
 
     Raises:
         ProblemError: a parameter or wheel model is unknown, or a fault is not possible in this run.
     """
     check_parameters(robot, parameters)
-    setup.check(robot, ticks or MISSIONS[robot.name].ticks)
+    setup.check(robot, steps or MISSIONS[robot.name].ticks)
 
 
 def scaled(progress: Progress | None, low: float, high: float) -> Progress | None:
-    """Return the progress callback for the part of a computation between two completed fractions."""
+    """Return a progress callback for a part of a computation; it converts 0 to 1 to the given range."""
     return None if progress is None else lambda fraction: progress(low + (high - low) * fraction)

@@ -1,4 +1,4 @@
-"""Printed sheets in a scene: pictures on flat rectangles, as elements of a MuJoCo model and PNG files."""
+"""Printed sheets in a scene: pictures on flat rectangles, as elements of a MuJoCo model and as PNG files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CELL = 16  # size of a cell of a tag in pixels
 
 
 def printed_sheet(name: str, width: float, height: float) -> str:
-    """Return the assets of a sheet: a mesh and a material with the name ``name``, and the texture ``name``.png.
+    """Return the MuJoCo elements of a sheet: a mesh and a material, both called ``name``, and a texture ``name``.png.
 
     The renderer draws only one side of a mesh, so the back of the sheet is a flat pyramid.
 
@@ -28,12 +28,12 @@ def printed_sheet(name: str, width: float, height: float) -> str:
 
 
 def placed_sheet(name: str, place: tuple[float, float, float]) -> str:
-    """Return the geometry of a sheet at a position in metres, without contacts."""
+    """Return the MuJoCo element that places a sheet at a position in metres; other bodies pass through the sheet."""
     x, y, z = place
     return f'<geom type="mesh" mesh="{name}" material="{name}" pos="{x} {y} {z}" mass="0" contype="0" conaffinity="0"/>'
 
 
 def tag_picture(number: int) -> bytes:
-    """Return an ArUco tag as PNG with a white border of one cell: the picture is 8/6 as wide as the black square."""
+    """Return an ArUco tag with a white border as PNG; the picture is 8/6 as wide as the tag's black square."""
     rimmed: Pixels = np.pad(draw_tag(number, 6 * CELL), CELL, constant_values=255)
     return write_png(rimmed)

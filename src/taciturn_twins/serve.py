@@ -1,4 +1,4 @@
-"""The server of the camera: it receives poses and requests, and sends pictures."""
+"""Server of the simulated camera: it receives requests and the poses of robots, and sends pictures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATIENT = 256  # largest number of requests and marks of a loop that wait for th
 
 
 class CameraServer:
-    """A server that answers requests with pictures; only requested pictures are rendered.
+    """A server that renders and sends a picture for each request.
 
     Args:
         camera: camera that takes the pictures.
@@ -55,7 +55,7 @@ class CameraServer:
         self.refused: Counter[str] = Counter()
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Answer requests until stopped, including those already sent, and return the report."""
+        """Answer all requests that were sent before the stop, and return the report."""
         take_until(self.endpoint, self._take, stopped)
         return self.report()
 

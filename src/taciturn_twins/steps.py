@@ -1,4 +1,4 @@
-"""The steps of a running trial, each combined from the logs of its processes.
+"""The steps of a running trial, each put together from the logs of all processes.
 
 The world reports each step to a callback, and every process appends its log lines to a file. The lines of a step are
 complete ``BEHIND`` steps later, and are then combined into one row.
@@ -26,7 +26,7 @@ _SENDER = {"sensor": "sensor", "actuator": "controller"}
 
 
 class Steps:
-    """A reader of the logs of a trial with one robot, which produces one row per step.
+    """A reader of the logs of a trial with one robot, which yields one row per step.
 
     Args:
         network: network of the design, which distinguishes packet losses by design from unusual ones.
@@ -48,11 +48,11 @@ class Steps:
         self._cost, self._degraded = 0.0, 0
 
     def start(self, folder: Path) -> None:
-        """Read the logs in a folder."""
+        """Begin to read the logs in the given folder."""
         self._tails = {name: _Tail(folder / f"{name}.jsonl") for name in LOGS}
 
     def add(self, line: Mapping[str, Any]) -> None:
-        """Add the world's log line of a step, and show the step that is now complete."""
+        """Store the log line of a step of the robot, and pass on the steps for which all log lines have arrived."""
         self._worlds.append(dict(line))
         if len(self._worlds) > BEHIND:
             self._join()
@@ -117,10 +117,10 @@ class Steps:
 
 
 def designed_drops(network: Network, setup: Setup) -> Callable[[str, int, int], bool]:
-    """Return a function of link, sequence number and step that returns whether the network model drops that packet.
+    """Return a function that says, for a link, sequence number and step, whether the network model drops that packet.
 
-    The function excludes faults: a packet that an outage of a link or of the camera drops is a drop by design only if
-    the network model drops it too.
+    The function excludes faults: if an outage of a link or of the camera drops a packet, this is a drop by design only
+    if the network model drops the packet too.
     """
     if setup.namespaces:
         drops = kernel_losses(network, setup.seed)
@@ -138,7 +138,7 @@ class _Tail:
         self._path, self._at = path, 0
 
     def read(self) -> Iterator[Mapping[str, Any]]:
-        """Yield the complete lines since the last call."""
+        """Yield the complete lines that were written to the file since the last call."""
         if not self._path.exists():
             return
         with self._path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""One trial of a twin: processes run a mission under one policy, and their logs are combined into the results."""
+"""One trial of a twin: processes run a mission under one policy, and their logs give the results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from taciturn_udp.relay import losses
 
 @dataclass(frozen=True, repr=False)
 class Setup(Displayed):
-    """The configuration of a twin's run.
+    """Configuration of a twin's run.
 
     Args:
         runs: number of simultaneous robots, with consecutive seeds.
@@ -60,7 +60,7 @@ class Setup(Displayed):
         count("seed", self.seed, 0)
 
     def check(self, robot: Robot, horizon: int) -> None:
-        """Reject a setup that is not valid for a robot and a mission of ``horizon`` steps.
+        """Raise an error if a setup is invalid for a robot and a mission of ``horizon`` steps.
 
         Raises:
             ProblemError: the wheel model is unknown, or a fault is not possible in this run.
@@ -68,8 +68,8 @@ class Setup(Displayed):
         choice("variant", self.variant or robot.variants[0], robot.variants)
         if window(self.faults, "actuator", robot.tick) is not None and self.namespaces:
             raise ProblemError(
-                "the fault actuator is given with namespaces, but only relays cause this fault, and namespaces have "
-                "no relays; expected only one of the two"
+                "the fault 'actuator' is given with network namespaces, but only relays cause this fault, and "
+                "namespaces have no relays; expected only one of the two"
             )
         for fault in self.faults:
             if fault.ticks(robot.tick)[0] >= horizon:
@@ -84,17 +84,17 @@ class Setup(Displayed):
 
     @property
     def gain(self) -> float:
-        """Relative error of the motors' gains."""
+        """Relative error of the motors' gains that is due to faults."""
         return sum(fault.size[0] for fault in self.faults if fault.name == "gain")
 
     def body(self, robot: Robot, run: int) -> Body:
-        """Return the robot body of a run."""
+        """Create the simulated body of the robot for one run."""
         return Body(robot, self.seed + run, gain_error=self.gain, variant=self.variant or robot.variants[0])
 
 
 @dataclass(repr=False)
 class Watcher(Displayed):
-    """Callbacks that observe a trial and may affect it.
+    """Functions that a trial calls while it runs; they observe the trial, and some can change it.
 
     Args:
         before: function called before each step with the number of the step and the plants.
@@ -120,7 +120,7 @@ def run_trial(
     progress: Progress | None = None,
     watcher: Watcher | None = None,
 ) -> Trial:
-    """Run the mission of a problem as processes on this machine: camera, control unit and robots.
+    """Run the mission of a problem as processes on this machine: camera, controller and robots.
 
     Args:
         prepared: the robot, its camera and its model.
@@ -238,7 +238,7 @@ class _Before:
             self._restarts.pop().result()
 
     def close(self) -> None:
-        """Wait for processes that are starting, and ignore their errors."""
+        """Wait for processes that are still starting, and ignore the errors that they raise."""
         self._pool.shutdown()
 
     def __call__(self, tick: int) -> None:
@@ -254,7 +254,7 @@ class _Before:
 
 
 def happen(fault: Fault, body: Body, states: int) -> None:
-    """Apply a fault to the body of a robot if the fault affects the body."""
+    """Apply a fault to the body of a robot; faults of other kinds have no effect here."""
     if fault.name == "kidnap":
         body.kidnap([*fault.size, 0.0, 0.0][:states])
     elif fault.name == "push":

@@ -1,4 +1,4 @@
-"""Image processing: it measures the pose of the robot in a picture, or rejects the picture as uncertain."""
+"""Image processing that measures the robot's pose in a picture, or rejects the picture if the pose is uncertain."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Eye:
         self.robot, self._calibration = robot, calibration
 
     def see(self, picture: bytes) -> Array | None:
-        """Return the pose of the robot in a picture (JPEG).
+        """Measure the pose of the robot in a picture (JPEG).
 
         Returns:
             Pose (n,) in metres, with a heading in (-π, π], or None without a reliable marker. Note that a JPEG decoder
@@ -54,7 +54,7 @@ class Eye:
         return None if found is None else found[0]
 
     def draw(self, picture: bytes) -> bytes:
-        """Return the picture with the detected marker as JPEG, or a grey picture with a message if it is damaged."""
+        """Draw the detected marker into a picture, and return it as JPEG; a text replaces a damaged picture."""
         pixels = _pixels(picture)
         if pixels is None:
             pixels = np.full((HEIGHT, WIDTH, 3), 96, np.uint8)

@@ -1,4 +1,4 @@
-"""The packets between control unit, camera and world: requests (questions), pictures, and poses (light).
+"""Packets between controller, camera and robot: requests for pictures, pictures, and poses to be rendered.
 
 A request is a packet of the sensor link without payload. The picture that answers the request is a packet of the same
 link, with a JPEG instead of numbers and with the sequence number, step and loop of the request. Links therefore drop
@@ -23,7 +23,7 @@ Seen: TypeAlias = Callable[[Packet, bytes, Sequence[float] | None], None]
 
 
 class QuestionWire(Wire):
-    """An encoder of the requests of a control unit, and a decoder of the time steps that it receives.
+    """Encoder of the controller's requests for pictures, and decoder of the time steps that it receives.
 
     Args:
         policy: policy with a camera as sensor.
@@ -36,13 +36,13 @@ class QuestionWire(Wire):
         super().__init__(policy, network, key, {("data", "sensor"): 0})
 
     def encode(self, packet: Packet) -> bytes:
-        """Return a packet as a datagram, without the measurement in the packet."""
+        """Encode a packet as a datagram; a picture request omits the measurement."""
         asks = packet.kind == "data" and packet.link == "sensor"
         return super().encode(packet._replace(values=()) if asks else packet)
 
 
 class CameraWire(Wire):
-    """A decoder of requests and poses, and an encoder of pictures.
+    """Decoder of the requests and poses that the camera receives, and encoder of its pictures.
 
     Args:
         policy: policy with a camera as sensor.
@@ -58,12 +58,12 @@ class CameraWire(Wire):
         super().__init__(policy, network, key, {("data", "sensor"): 0, ("measurement", "plant"): light})
 
     def encode_picture(self, question: Packet, picture: bytes) -> bytes:
-        """Return the datagram with a picture that answers a request."""
+        """Encode a picture that answers a request, as a datagram."""
         return self._write(question, BYTES, 0, picture)
 
 
 class PictureWire(Wire):
-    """A decoder that converts pictures to measurements.
+    """Decoder that converts each picture that the controller receives to a measurement.
 
     Args:
         policy: policy with a camera as sensor.
@@ -86,7 +86,7 @@ class PictureWire(Wire):
         self._see, self._told, self._outputs = see, told, policy.model.outputs
 
     def decode(self, datagram: bytes) -> Packet | str:
-        """Return the packet of a datagram, or the reason for its rejection, such as ``"unseen"`` without a marker."""
+        """Decode a datagram to a packet or, if it is rejected, to the reason, such as ``"unseen"`` without a marker."""
         found = self._open(datagram)
         if isinstance(found, str) or (found[0].kind, found[0].link) != ("data", "sensor"):
             return super().decode(datagram)

@@ -1,4 +1,4 @@
-"""The world: it moves the bodies of the robots, and sends their poses to the camera and time steps to the sensor."""
+"""Server that simulates the robots: it sends their poses to the camera, and time steps to the sensor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLOW = 0.01  # seconds between two updates of the bodies in real time
 
 
 class TwinPlant:
-    """The body of a robot as the plant of a problem, without measurements, because the camera measures the robot.
+    """The body of a robot as a problem's plant, without outputs, because the camera measures the robot.
 
     Args:
         problem: problem with the cost and the reference.
@@ -44,20 +44,20 @@ class TwinPlant:
 
     @property
     def state(self) -> Array:
-        """Pose of the robot, (n,), as an ideal camera would measure it."""
+        """Pose of the robot, (n,), as measured by an ideal camera."""
         return self.body.pose
 
     def look(self) -> None:
-        """Update the pose of this step after a fault has moved the body."""
+        """Read the pose of this step again, after a fault has moved the body."""
         self.poses[-1], self.lights[-1] = self.body.pose, self.body.snapshot
 
     def flow(self, inputs: Sequence[float], share: float) -> None:
-        """Simulate up to a given fraction of the current step."""
+        """Simulate the robot up to a given fraction of the present step."""
         self.body.act(inputs)
         self.body.flow((self.tick + min(share, 1.0)) * self.tick_length)
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Simulate the rest of the step with these inputs, and return the cost of the step."""
+        """Simulate the rest of the present step with these inputs, and return the cost of the step."""
         cost, reference, pose = self.problem.cost, self.problem.reference, self.poses[-1]
         given = np.array(inputs)
         if reference is not None and self.tick < len(reference.inputs):
@@ -70,14 +70,14 @@ class TwinPlant:
         return float(pose @ cost.Q @ pose + given @ cost.R @ given + 2 * pose @ cost.N @ given)
 
     def final_cost(self) -> float:
-        """Return the terminal cost for the current pose of the robot."""
+        """Return the terminal cost at the present pose of the robot."""
         cost, reference = self.problem.cost, self.problem.reference
         off = self.state - (0.0 if reference is None else reference.states[-1])
         return 0.0 if cost.terminal is None else float(off @ cost.terminal @ off)
 
 
 class World(PlantServer):
-    """A server that moves the robots by the inputs of the nodes, and sends their poses to the camera.
+    """Server that moves the robots by the inputs that nodes send, and sends the robots' poses to the camera.
 
     The sensor node receives only time steps.
 
@@ -116,7 +116,7 @@ class World(PlantServer):
         return {**super().report(), "role": "world", "light": self._shone}
 
     def finish(self) -> dict[str, Any]:
-        """Receive the packets already sent, and return the report."""
+        """Receive the packets that are still on their way, and return the report."""
         take_until(self.endpoint, self._take, lambda: True)
         return self.report()
 

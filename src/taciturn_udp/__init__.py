@@ -1,4 +1,4 @@
-"""Nodes, plants and links as processes that exchange UDP packets.
+"""Nodes, plants and emulated links, each run as a process, that exchange packets over UDP.
 
 ``endpoint`` is the only module that opens UDP sockets. ``service`` is what all servers share, with ``proofs`` that a
 sender runs and ``logs``. ``nodes`` serves nodes, ``plant`` plants, and ``relay`` links that drop packets. ``processes``

@@ -1,4 +1,4 @@
-"""Cost and rates of recorded steps: means with standard errors, or the total of a run with a horizon or a discount.
+"""Cost and rates from recorded steps: means with standard errors, or totals of runs with a horizon or a discount.
 
 A mean omits the first steps, five time constants of the loop (``settled``). The costs of the other steps are
 correlated, so the standard error is that of the means of batches. It is valid only if the batches are nearly
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn.extend import Array
+from taciturn.extend import Array, number_of
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.signals import RandomSteps, SampledChanges
@@ -28,15 +28,16 @@ APART = 3.0  # least length of a batch in time constants of the loop, or six of 
 
 
 def settled(loop: Loop) -> int:
-    """Return the number of steps at the start that an average omits."""
+    """Return how many steps at the start an average omits, because the loop has not settled yet."""
     return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.theory.settling))
 
 
 def piece_of(loop: Loop) -> tuple[float, float, str]:
-    """Return the least number of steps of a batch for a valid standard error, and what it contains, with its steps.
+    """Return how many steps a batch needs at least for a valid standard error, and which event determines this.
 
     Batches are independent only if each lasts several time constants of the loop. If changes of set-points or jumps are
-    rare, they decide the cost. A record of a few of them contains as few independent pieces, however many steps it has.
+    rare, they determine the cost. A record with only a few such events contains only a few independent pieces, however
+    many steps it has.
     """
     changes, settling = loop.problem.plant.changes, loop.policy.theory.settling
     found = [(float(FEWEST), 1.0, "steps"), (APART * settling, settling, "time constants of the loop")]
@@ -52,12 +53,12 @@ def piece_of(loop: Loop) -> tuple[float, float, str]:
 
 
 def least_steps(loop: Loop) -> int:
-    """Return the number of steps after the first ones, which are omitted, from which on a mean has an error."""
+    """Return how many steps an average needs for a valid standard error, not counting the omitted initial steps."""
     return int(np.ceil(piece_of(loop)[0])) * BATCHES
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
-    """Return the mean cost of the steps in the units of the problem, or the total of a run with horizon or discount."""
+    """Return the mean cost in the problem's units; for a run with a horizon or a discount factor, the total cost."""
     if loop.horizon is not None:
         discount = loop.problem.cost.discount
         total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
@@ -75,16 +76,16 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         return mean, (f"{short}: the cost is that of this run, with about {len(kept) / once:.2g} {why}",)
     found = batch_means(kept)
     notes = loop.problem.remarks
-    notes += (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
+    notes += (f"means omit the first {number_of(skipped, 'step')}, in which the loop settles",) if skipped else ()
     cost = _in_units(loop, found)
     return cost, notes + doubt_errors(cost, len(kept))
 
 
 def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
-    """Return the share of steps with a send, without an error if the run has a finite horizon or is too short.
+    """Return the fraction of steps with a send; a finite or very short run gives no standard error.
 
-    Sends of successive steps are correlated, so only batch means have a valid standard error. It is at least one send
-    in all these steps.
+    Sends of successive steps are correlated, so only batch means have a valid standard error. The standard error is at
+    least that of one send in all these steps.
     """
     kept = sends[settled(loop) :]
     if loop.horizon is not None or len(kept) < least_steps(loop):
@@ -94,11 +95,11 @@ def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
 
 
 def remark_on_rates(loop: Loop, rates: Iterable[Estimate], steps: int) -> tuple[str, ...]:
-    """Return a remark if rates were measured only once."""
+    """Return a note that the rates have no standard errors, if they come from a single run."""
     if all(rate.method != "exact" for rate in rates):
         return ()
     counted = ", and later sends are not discounted" if loop.problem.cost.discount < 1 else ""
-    return (f"the rates are those of this run of {steps} steps, without standard errors{counted}",)
+    return (f"the rates are those of this run of {number_of(steps, 'step')}, without standard errors{counted}",)
 
 
 def _in_units(loop: Loop, found: Estimate) -> Estimate:
@@ -107,7 +108,7 @@ def _in_units(loop: Loop, found: Estimate) -> Estimate:
 
 
 def plant_cost(problem: Problem, loop: Loop, costs: Sequence[Sequence[float]], final: float) -> dict[str, Any]:
-    """Return a plant's report on its cost, from the costs of all steps, (loops, steps), and of the final state."""
+    """Return the plant's report on its cost, from the costs of all steps, (loops, steps), and of the final states."""
     per_tick = np.mean(costs, axis=0)
     if not per_tick.size:
         return {"cost": None, "unit": cost_unit(problem), "notes": []}
@@ -117,6 +118,6 @@ def plant_cost(problem: Problem, loop: Loop, costs: Sequence[Sequence[float]], f
 
 
 def measured(estimate: Estimate) -> dict[str, Any]:
-    """Return the JSON document of a measured number, without a standard error if it was measured only once."""
+    """Return the JSON document of a measured number; one measurement alone has no standard error."""
     once = {"standard_error": None} if estimate.method == "exact" else {}
     return estimate.document() | once | {"method": "simulation"}

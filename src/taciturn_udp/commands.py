@@ -1,4 +1,4 @@
-"""Commands that run a policy as nodes over a network, and the texts of their options."""
+"""Commands that run a policy as nodes over a network, with the help texts of their options."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from taciturn.cli.frame import (
     NoFunctions,
     Seed,
     Settings,
+    Verbose,
     app,
     load_changed,
     print_result,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def read_probability(name: str, text: str) -> float:
-    """Read the value of a command-line option as a probability."""
+    """Convert the value of a command-line option to a probability."""
     from taciturn.errors import ProblemError
     from taciturn.extend import number
 
@@ -49,7 +50,7 @@ def read_probability(name: str, text: str) -> float:
 
 
 def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[str, Fate]:
-    """Return the impairments of each link: the losses of --loss, or else those of the problem's network."""
+    """Return the impairments of each link; ``--loss`` replaces the losses of the problem's network."""
     from taciturn.errors import ProblemError
     from taciturn.model.steps import Send
     from taciturn_udp.relay import losses
@@ -63,7 +64,10 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
             raise ProblemError(f"--loss is given twice for {link or 'all links'}; expected one value for each link")
         seen.add(link)
         if named and link not in fates:
-            raise ProblemError(f"--loss names the link {link!r}; expected a link of {policy.kind}: {', '.join(fates)}")
+            raise ProblemError(
+                f"--loss names the link {link!r}; expected one of the links of the policy {policy.kind}: "
+                f"{', '.join(fates)}"
+            )
         for one, fate in fates.items():
             if not named or one == link:
                 fates[one] = replace(fate, loss=read_probability("--loss", chance), burst=None)
@@ -71,27 +75,28 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
 
 
 def read_burst(text: str | None) -> LossLaw | None:
-    """Return the law of bursty losses of a link from the values of --burst, or None."""
+    """Convert the option ``--burst`` to a model of bursty packet losses; return None if the option is not given."""
     from taciturn.model.losses import read_law
 
     return None if text is None else read_law("--burst", text)
 
 
 def read_outage(text: str | None) -> tuple[int, int] | None:
-    """Return the first step of an outage and the step at which it ends, or None."""
+    """Return the first step of the outage in ``--outage`` and the first step after it; None if it is not given."""
+    from taciturn.cli.usage import whole_number
     from taciturn.errors import ProblemError
 
     if text is None:
         return None
     try:
-        first, end = map(int, text.split(","))
+        first, end = (int(whole_number(part)) for part in text.split(","))
     except ValueError:
         raise ProblemError(f"--outage is {text!r}; expected two steps, such as 20,40") from None
     return first, end
 
 
 def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Raise an error if an option is below 1, or if there are more loops than a packet's loop number can represent."""
+    """Raise an error if a count is below 1, or if a packet cannot number so many loops."""
     from taciturn.extend import count, number
 
     for name, value in counts.items():
@@ -101,7 +106,7 @@ def check_counts(counts: Mapping[str, int | None]) -> None:
 
 
 def tick_length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
-    """Return the seconds per step in real time, or None in virtual time."""
+    """Return the sampling period in seconds for a run in real time; None for a run in virtual time."""
     from taciturn.errors import ProblemError
     from taciturn.extend import number
 
@@ -112,28 +117,37 @@ def tick_length(of_problem: float | None, real_time: bool, asked: float | None) 
     return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)
 
 
-Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to listen on; port 0: any free port.")]
+Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to listen on; port 0 selects a free port.")]
 Peer = Annotated[
     list[str] | None,
-    typer.Option(metavar="[LINK=]HOST:PORT", help="Address that receives the packets, of the only link or of LINK."),
+    typer.Option(
+        metavar="[LINK=]HOST:PORT",
+        help="Address to which the node sends its packets. LINK= selects the link if the node sends on several links.",
+    ),
 ]
-Ticks = Annotated[int | None, typer.Option(help="Number of steps. Default: until interrupted.")]
+NodeSteps = Annotated[int | None, typer.Option(help="Number of steps. Default: until interrupted.")]
 RealTime = Annotated[bool, typer.Option("--real-time", help="Run in real time instead of virtual time.")]
 TickLength = Annotated[
     float | None,
-    typer.Option("--tick", help="Seconds per step in real time. Default: the sampling period of the problem."),
+    typer.Option(
+        "--tick", help="Duration of a step in real time, in seconds. Default: the sampling period of the problem."
+    ),
 ]
 Key = Annotated[
     Path | None,
     typer.Option(
         metavar="PATH",
-        help="File with hexadecimal keys of 16 to 32 bytes: KEY, or lines LINK: KEY. A changed file is read again. "
-        "Default: the key in $TACITURN_KEY, or no key.",
+        help="File with the keys of the packets, each 16 to 32 bytes in hexadecimal digits: one line KEY for "
+        "all links, or a line LINK: KEY for each link. The process reads a changed file again. Default: "
+        "the key in $TACITURN_KEY, or no key.",
     ),
 ]
 Log = Annotated[
     str | None,
-    typer.Option(metavar="OUT", help="Log a JSON line per step to a file, - (standard output), or udp://HOST:PORT."),
+    typer.Option(
+        metavar="OUT",
+        help="For each step, write a JSON line to a file, to standard output (-), or to udp://HOST:PORT.",
+    ),
 ]
 Loops = Annotated[int, typer.Option(help="Number of identical loops that this process runs.")]
 WIRES = "taciturn.wires"  # entry points of encoders and decoders
@@ -141,46 +155,59 @@ WATCHED = 100  # steps without a usable packet after which a node in real time i
 BEATS = 3  # marks that a silent sender sends within this limit
 
 
-@app.command(epilog=EXAMPLE + "taciturn network two-mass --ticks 1000 --loss 0.2")
+@app.command(epilog=EXAMPLE + "taciturn network two-mass --steps 1000 --loss 0.2")
 def network(
     file: File,
     settings: Settings = None,
     no_functions: NoFunctions = False,
-    ticks: Annotated[int | None, typer.Option(help="Number of steps. Default: the horizon, or 5000.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Number of steps. Default: the horizon of the cost; if the cost has no horizon, 5000."),
+    ] = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     seed: Seed = 0,
     key: Key = None,
     loss: Annotated[
         list[str] | None,
-        typer.Option("--loss", metavar="[LINK=]P", help="Drop packets with probability P, on one link or all links."),
+        typer.Option(
+            "--loss", metavar="[LINK=]P", help="Drop each packet with probability P, on one link or on all links."
+        ),
     ] = None,
     namespaces: Annotated[
         bool,
         typer.Option(
-            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+            "--namespaces",
+            help="Run each node in its own network namespace, in which the Linux kernel drops the packets. "
+            "Requires root.",
         ),
     ] = False,
     world: Annotated[
         int | None,
-        typer.Option("--world", metavar="SEED", help="Instead of processes, run the world of faults of a seed."),
+        typer.Option(
+            "--world",
+            metavar="SEED",
+            help="Instead of processes, run a world of faults: a test of the nodes under random faults that this "
+            "seed selects.",
+        ),
     ] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
     import taciturn
     from taciturn.nodes.keys import read_keys
     from taciturn_udp.run import run_network
 
-    check_counts({"--ticks": ticks})
+    check_counts({"--steps": steps})
     problem = load_changed(file, settings, no_functions)
     if world is not None:
-        others = {"--ticks": ticks, "--real-time": real_time, "--tick": tick, "--loss": loss}
+        others = {"--steps": steps, "--real-time": real_time, "--tick": tick, "--loss": loss}
         others |= {"--namespaces": namespaces, "--seed": seed, "--key": key}
         from taciturn.extend import load_plugin
 
         run_world = load_plugin("taciturn.worlds", "faults", "--world")
-        run_world(problem, world, [name for name, value in others.items() if value], as_json)
+        run_world(problem, world, [name for name, value in others.items() if value], as_json, verbose)
         return
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
@@ -192,49 +219,64 @@ def network(
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:
         found = run_network(
-            file, settings=settings or (), ticks=ticks, tick=length, seed=seed, key=read_keys(key), fates=fates,
+            file, settings=settings or (), steps=steps, tick=length, seed=seed, key=read_keys(key), fates=fates,
             namespaces=namespaces, progress=progress, functions=not no_functions,
         )  # fmt: skip
-    print_result(found, as_json, problem)
+    print_result(found, as_json, verbose, problem)
 
 
 @app.command(epilog=EXAMPLE + "taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")
 def node(
-    role: Annotated[str, typer.Argument(metavar="NODE", help="sensor, controller, actuator, or a node of [nodes].")],
+    role: Annotated[
+        str,
+        typer.Argument(
+            metavar="NODE", help="Name of the node: sensor, controller, actuator, or a name in [nodes] of the file."
+        ),
+    ],
     file: File,
     settings: Settings = None,
     no_functions: NoFunctions = False,
     bind: Bind = "127.0.0.1:0",
     peer: Peer = None,
     plant: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Address of the plant.")] = None,
-    ticks: Ticks = None,
+    steps: NodeSteps = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     wait: Annotated[
         float | None,
         typer.Option(
-            help="In real time: longest wait for a packet, as a fraction of a step. Default: 0.3; actuator: 0.55."
+            help="In real time: longest time that the node waits for a packet, as a fraction of a step. Default: "
+            "0.3 for the controller, 0.55 for other nodes."
         ),
     ] = None,
     heartbeat: Annotated[
         int | None,
         typer.Option(
-            help="In real time: steps without a packet after which the node sends a mark (a packet without data). "
-            "Default: a third of --watchdog."
+            help="In real time: send a mark (a packet without data) when the node has sent no packet on a link for "
+            "this number of steps. Default: a third of --watchdog."
         ),
     ] = None,
     watchdog: Annotated[
         int | None,
         typer.Option(
-            help="Number of steps without packets or marks after which a node is degraded and an actuator applies the "
-            f"safe input. Default in real time: {WATCHED}, but the actuator then still applies the input of the policy."
+            help="Number of steps without a packet or mark after which the node is degraded, and an actuator "
+            f"applies the safe input. Default in real time: {WATCHED}; with neither --watchdog nor --safe, a "
+            "degraded actuator continues to apply the policy's input."
         ),
     ] = None,
     safe: Annotated[
-        str | None, typer.Option(help="Safe input: hold (default with --watchdog), zero, or numbers such as 0.5,-1.")
+        str | None,
+        typer.Option(
+            help="Input that an actuator applies when its watchdog has expired: hold (default with --watchdog), "
+            "zero, or numbers such as 0.5,-1."
+        ),
     ] = None,
     state: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Save the state of the node after every step.")
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="After every step, save the state of the node to this file, from which a restarted node continues.",
+        ),
     ] = None,
     key: Key = None,
     log: Log = None,
@@ -249,17 +291,31 @@ def node(
     seed: Seed = 0,
     questions: Annotated[
         bool,
-        typer.Option("--questions", help="For a camera as sensor: request pictures instead of sending measurements."),
+        typer.Option(
+            "--questions", help="Only if the sensor is a camera: request pictures instead of sending measurements."
+        ),
     ] = False,
     eye: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Calibration file of a camera, to measure positions in its pictures."),
+        typer.Option(
+            metavar="PATH",
+            help="Calibration file of the camera, with which the node measures positions in the pictures that it "
+            "receives.",
+        ),
     ] = None,
     seen: Annotated[
-        str | None, typer.Option(metavar="OUT", help="With --eye: log a JSON line per picture; OUT is as for --log.")
+        str | None,
+        typer.Option(
+            metavar="OUT",
+            help="With --eye: for each picture, write a JSON line to a file, to standard output (-), or to "
+            "udp://HOST:PORT.",
+        ),
     ] = None,
     watch: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="With --eye: save the newest picture with its detections.")
+        Path | None,
+        typer.Option(
+            metavar="PATH", help="With --eye: save the newest picture, with the detected markers, to this file."
+        ),
     ] = None,
 ) -> None:
     """Run one node of a problem over UDP until it is interrupted, then print its counters."""
@@ -274,7 +330,7 @@ def node(
     from taciturn_udp.service import FileStorage, say, say_where, usual_wait
 
     check_counts(
-        {"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--log-part": log_part, "--loops": loops}
+        {"--steps": steps, "--heartbeat": heartbeat, "--watchdog": watchdog, "--log-part": log_part, "--loops": loops}
     )
     problem = load_changed(file, settings, no_functions)
     policy = problem.design()
@@ -316,21 +372,24 @@ def node(
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:
-            server.run(ticks, lambda: shown() or stopped())
-        typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
+            server.run(steps, lambda: shown() or stopped())
+        typer.echo(json.dumps(server.finish(lambda: True if steps else stopped())))
 
 
-@app.command(epilog=EXAMPLE + "taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
+@app.command(epilog=EXAMPLE + "taciturn plant two-mass --bind :9100 --peer :9102 --steps 200")
 def plant(
     file: File,
     peer: Annotated[
         list[str],
-        typer.Option(metavar="[LINK=]HOST:PORT", help="Node that receives measurements; LINK is plant/NODE."),
+        typer.Option(
+            metavar="[LINK=]HOST:PORT",
+            help="Address of a node to which the plant sends measurements. LINK is plant/NODE.",
+        ),
     ],
     settings: Settings = None,
     no_functions: NoFunctions = False,
     bind: Bind = "127.0.0.1:0",
-    ticks: Annotated[int, typer.Option(help="Number of steps.")] = 1000,
+    steps: Annotated[int, typer.Option(help="Number of steps.")] = 1000,
     real_time: RealTime = False,
     tick: TickLength = None,
     key: Key = None,
@@ -349,7 +408,7 @@ def plant(
     from taciturn_udp.plant import PlantServer
     from taciturn_udp.service import say, say_where
 
-    check_counts({"--ticks": ticks, "--loops": loops})
+    check_counts({"--steps": steps, "--loops": loops})
     problem = load_changed(file, settings, no_functions)
     loop = problem.close(problem.design())
     length = tick_length(loop.policy.model.dt, real_time, tick)
@@ -359,26 +418,29 @@ def plant(
     with logged(log) as told, until_stopped() as stopped, Endpoint(here) as endpoint:
         server = PlantServer(plants, wire, endpoint, to, tick=length, told=told, say=say)
         say_where("plant", endpoint.address)
-        report = server.run(loop.ticks(ticks), stopped)
+        report = server.run(loop.checked_steps(steps), stopped)
         final = sum(one.final_cost() for one in plants) / loops
         typer.echo(json.dumps(report | plant_cost(problem, loop, server.costs, final)))
 
 
 @app.command(epilog=EXAMPLE + "taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address at the end of the link.")],
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to which the relay forwards packets.")],
     bind: Bind = "127.0.0.1:0",
     loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is dropped.")] = "0",
     burst: Annotated[
         str | None,
-        typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts; also LAW:VALUES."),
+        typer.Option(
+            metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD",
+            help="Drop packets in bursts, by the Gilbert-Elliott model. LAW:VALUES selects another loss model.",
+        ),
     ] = None,
     delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,
-    hold: Annotated[int, typer.Option(help="Delay of every packet in steps, in virtual time.")] = 0,
+    hold: Annotated[int, typer.Option(help="In virtual time: delay of every packet in steps.")] = 0,
     duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet arrives twice.")] = "0",
     reorder: Annotated[
-        str, typer.Option(metavar="P", help="Probability that a packet arrives after the next one.")
+        str, typer.Option(metavar="P", help="Probability that a packet arrives after the next packet.")
     ] = "0",
     corrupt: Annotated[str, typer.Option(metavar="P", help="Probability that bits of a packet are flipped.")] = "0",
     outage: Annotated[
@@ -423,7 +485,7 @@ def _wire(
 
     if (questions and role != "sensor") or (eye is not None and role != "controller"):
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
-        raise ProblemError(f"{option} is given for the {role}; expected this option for the {where} only")
+        raise ProblemError(f"the option {option} is given for the {role}; expected this option for the {where} only")
     if eye is None and (seen is not None or watch is not None):
         raise ProblemError(
             "--seen or --watch is given without --eye; expected --eye with the calibration file of a camera"

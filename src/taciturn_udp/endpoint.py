@@ -1,4 +1,4 @@
-"""Sending and receiving of datagrams over UDP; no other module of the package uses sockets."""
+"""Sending and receiving of UDP datagrams; only this module of the package uses sockets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and the index of the dropped datagrams in
 
 
 def parse_address(name: str, text: str, *, own: bool = False) -> Address:
-    """Return host and port of the text ``HOST:PORT``; the default host is 127.0.0.1."""
+    """Split ``HOST:PORT`` into a host and a port; without a host, it is 127.0.0.1."""
     host, colon, port = text.rpartition(":")
     if ":" in host or "[" in text:
         raise ProblemError(
@@ -47,7 +47,7 @@ def parse_address(name: str, text: str, *, own: bool = False) -> Address:
 
 
 def parse_peers(name: str, given: Sequence[str] | None) -> Address | dict[str, Address] | None:
-    """Return one address, or the addresses by link of texts of the form ``LINK=HOST:PORT``; None if none are given."""
+    """Convert ``HOST:PORT`` to one address, or ``LINK=HOST:PORT`` texts to an address per link; None without text."""
     if not given:
         return None
     if len(given) == 1 and "=" not in given[0]:
@@ -64,7 +64,7 @@ def parse_peers(name: str, given: Sequence[str] | None) -> Address | dict[str, A
 
 
 def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, links: Sequence[str]) -> dict[str, Address]:
-    """Return the address of each link on which a process sends, from one address or from addresses by link."""
+    """Return the address of the receiver on each link on which a process sends, from one address or one per link."""
     if given is None and links:
         raise ProblemError(f"--peer is missing, but {name} sends packets; expected HOST:PORT of their receiver")
     if given and not links:
@@ -72,7 +72,7 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
     if not isinstance(given, Mapping):
         if len(links) > 1:
             raise ProblemError(
-                f"--peer is one address, but {name} sends on {len(links)} links; expected "
+                f"--peer gives only one address, but {name} sends on {len(links)} links; expected "
                 f"{', '.join(f'{link}=HOST:PORT' for link in links)}"
             )
         return {} if given is None else dict.fromkeys(links, given)
@@ -86,7 +86,7 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
 
 
 def check_plant(name: str, given: Address | None, needed: bool) -> None:
-    """Check that the address of the plant is given to a process exactly if it exchanges packets with the plant."""
+    """Raise an error if the plant's address is missing where it is needed, or is given where it is not."""
     if needed and given is None:
         raise ProblemError(
             f"--plant is missing, but {name} exchanges packets with the plant; expected HOST:PORT of the plant"
@@ -126,8 +126,8 @@ class Endpoint:
         except OSError as error:
             self._socket.close()
             raise ProblemError(
-                f"{bind[0]}:{bind[1]} cannot be bound ({error.strerror}); expected a free port of this machine: "
-                "is another node running there?"
+                f"the address {bind[0]}:{bind[1]} cannot be bound ({error.strerror}); expected a free port of this "
+                "machine: is another node running there?"
             ) from None
         self._socket.setblocking(False)
         self.sent, self.received, self.unsent = 0, 0, 0
@@ -135,13 +135,13 @@ class Endpoint:
 
     @property
     def address(self) -> Address:
-        """The address that the socket listens on."""
+        """The address at which the socket receives."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
     @property
     def dropped(self) -> int | None:
-        """Number of datagrams that the kernel dropped because the buffer was full; None if it is not available."""
+        """Number of datagrams that the kernel dropped because its buffer was full; None if unknown."""
         if not _LINUX:
             return None
         try:
@@ -151,7 +151,7 @@ class Endpoint:
 
     @property
     def counted(self) -> dict[str, int | None]:
-        """The counters of datagrams sent and received."""
+        """Numbers of datagrams that were sent, not sent, received, and dropped by the kernel."""
         return {
             "sent": self.sent,
             "unsent": self.unsent,
@@ -160,7 +160,7 @@ class Endpoint:
         }
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Send a datagram; a datagram that the network rejects is counted in ``unsent``."""
+        """Send a datagram; if the network rejects it, count it in ``unsent``."""
         try:
             self._socket.sendto(datagram, to)
             self.sent += 1
@@ -168,7 +168,7 @@ class Endpoint:
             self.unsent += 1
 
     def receive(self, until: float | None) -> list[bytes]:
-        """Return the received datagrams; wait for the first one until a ``time.monotonic`` time (None: no limit)."""
+        """Return received datagrams; wait for the first one until the monotonic time ``until``, if it is given."""
         found = self._take()
         if not found:
             left = None if until is None else until - time.monotonic()
@@ -206,7 +206,7 @@ class Endpoint:
 
 
 def free_addresses(count: int) -> list[Address]:
-    """Return ``count`` currently free addresses of the loopback."""
+    """Return ``count`` addresses of this machine (127.0.0.1) whose ports are free at present."""
     endpoints = [Endpoint(("127.0.0.1", 0)) for _ in range(count)]
     found = [endpoint.address for endpoint in endpoints]
     for endpoint in endpoints:

@@ -1,4 +1,4 @@
-"""Logs of nodes, one JSON line per step, and the packets of a run that they tell.
+"""Logs of nodes, with one JSON line per step, and the packets of a run as these logs show them.
 
 A node of a run writes its log in parts (``logged``): a part that is large enough gets another name as soon as the part
 before it is gone. Meanwhile the run reads complete parts and deletes them (``Logs.followed``), so that a node has at
@@ -33,7 +33,7 @@ PAUSE = 0.2  # seconds between two searches for complete parts
 
 @contextmanager
 def logged(target: str | None, part: int | None = None) -> Generator[Told | None]:
-    """Yield a function that writes JSON lines to a file, to standard output (``-``), or to ``udp://HOST:PORT``."""
+    """Provide a function that writes values as JSON lines to a file, to standard output (``-``), or by UDP."""
     if target is None:
         yield None
     elif target.startswith("udp://"):
@@ -55,11 +55,13 @@ def log_line(
     arrived: Mapping[str, list[int]],
     loop: int | None,
 ) -> dict[str, Any]:
-    """Return the log line of a step: its inputs and outputs, and the sequence numbers that have arrived by link."""
+    """Return the log line of a step: inputs, outputs, and the sequence numbers of packets that arrived on each link."""
     line: dict[str, Any] = {
         "timestamp": node.tick * (node.policy.model.dt or 1.0),
         "tick": node.tick,
         "role": node.role,
+        "epoch": node.epoch,
+        "fingerprint": f"{node.fingerprint:016x}",
     }
     if loop is not None:
         line["loop"] = loop
@@ -79,7 +81,7 @@ def log_line(
 
 
 def name_of_part(log: Path) -> Path:
-    """Return the name of the complete part of a log."""
+    """Return the file name under which a completed part of a log is stored."""
     return log.with_name(f"{log.name}.1")
 
 
@@ -91,7 +93,7 @@ class _Log:
         self._file = path.open("a", encoding="utf-8")
 
     def write(self, line: Mapping[str, Any]) -> None:
-        """Write one line to the log, and complete the current part of the log if it is large enough."""
+        """Write one line to the log, and close the present part of the log if it is large enough."""
         print(json.dumps(line), file=self._file, flush=True)
         if self._part is not None and self._file.tell() >= self._part and not name_of_part(self._path).exists():
             self._file.close()
@@ -104,7 +106,7 @@ class _Log:
 
 
 def logged_lines(log: Path) -> list[dict[str, Any]]:
-    """Return the entries of a node's log."""
+    """Yield the entries of a node's log."""
     lines: list[dict[str, Any]] = []
     for text in log.read_text(encoding="utf-8").splitlines():
         with suppress(ValueError):  # the last line of a process that was killed
@@ -113,7 +115,7 @@ def logged_lines(log: Path) -> list[dict[str, Any]]:
 
 
 class Logs:
-    """The packets of a run: the steps in which they were sent, and the sequence numbers of those that arrived."""
+    """Packets of a run, read from logs: the steps at which they were sent, and the sequence numbers that arrived."""
 
     def __init__(self, processes: Processes) -> None:
         """Start before the first line."""
@@ -124,7 +126,7 @@ class Logs:
 
     @contextmanager
     def followed(self) -> Generator[None]:
-        """Read and delete complete parts of the logs while the block runs, and the rest of the logs at its end."""
+        """While the block runs, read and delete each completed part of the logs; at its end, read the rest."""
         ended = threading.Event()
 
         def follow() -> None:
@@ -143,14 +145,14 @@ class Logs:
             self._take(role, logged_lines(log))
 
     def sends(self, link: str, ticks: int) -> Array:
-        """Return whether a packet was sent at each step, according to the log of the sender, (steps,)."""
+        """Return, for each step, whether the sender's log contains a packet on the link, shape (steps,)."""
         sent = np.zeros(ticks)
         steps = np.array(self._sent[link], dtype=np.int64)
         sent[steps[steps < ticks]] = 1.0
         return sent
 
     def arrived(self, link: str) -> tuple[int, ...]:
-        """Return the sequence numbers of the packets that arrived, according to the log of the receiver."""
+        """Return the sequence numbers of the packets that arrived on a link, from the receiver's log."""
         return tuple(self._arrived[link])
 
     def _take_parts(self) -> None:

@@ -1,4 +1,4 @@
-"""A test bed in which the kernel drops packets: each node runs in a network namespace, and veth pairs connect them.
+"""Test bed in which the Linux kernel drops packets: each node has its own network namespace, joined by veth pairs.
 
 The plant has a namespace too, and every two namespaces are connected. At the receiver of a link, nftables drops data
 packets by a hash of the sequence number, so that drops can be predicted (``predict_drops``). Marks, acknowledgements
@@ -49,7 +49,7 @@ _numbers = counting()
 
 @dataclass(frozen=True, repr=False)
 class KernelLoss(Displayed):
-    """The packet loss that the kernel applies to a link.
+    """The random packet loss on a link that the kernel simulates.
 
     Args:
         seed: seed of the hash, 32 bits.
@@ -66,11 +66,11 @@ class KernelLoss(Displayed):
         """Check the ranges."""
         for name, most in (("seed", 0xFFFFFFFF), ("permille", 1000)):
             if count(name, getattr(self, name), 0) > most:
-                raise ProblemError(f"{name} is {getattr(self, name)}; expected at most {most}")
+                raise ProblemError(f"{name} is {getattr(self, name)}; expected a value of at most {most}")
 
 
 def kernel_losses(network: Network, seed: int) -> dict[str, KernelLoss]:
-    """Return the losses that the kernel applies on each link of a network.
+    """Return the packet losses that the kernel simulates on each link of a network.
 
     Raises:
         ProblemError: losses come in bursts, or are not an integer number of permille.
@@ -80,7 +80,7 @@ def kernel_losses(network: Network, seed: int) -> dict[str, KernelLoss]:
         if fate.burst is not None:
             raise ProblemError(
                 f"{network.key(link, 'burst')} is given, but the kernel cannot drop packets in bursts; expected "
-                f"{network.key(link, 'loss')}"
+                f"{network.key(link, 'loss')} instead"
             )
         permille = round(1000 * fate.loss)
         if abs(permille - 1000 * fate.loss) > 1e-9:
@@ -92,7 +92,7 @@ def kernel_losses(network: Network, seed: int) -> dict[str, KernelLoss]:
 
 
 class Counted(NamedTuple):
-    """The counters of nftables for a link; they count a retransmitted packet again."""
+    """Packets on a link as counted by the firewall nftables; a packet that is sent twice counts twice."""
 
     seen: int  # data packets received
     dropped: int  # number of them that the kernel dropped
@@ -123,7 +123,7 @@ def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[n
     numbers = np.asarray(sequences, dtype=np.int64).reshape(-1)
     if numbers.size and not 0 <= numbers.min() <= numbers.max() <= 0xFFFFFFFF:
         raise ProblemError(
-            f"sequences has numbers from {numbers.min()} to {numbers.max()}; expected numbers from 0 to {0xFFFFFFFF}"
+            f"'sequences' has numbers from {numbers.min()} to {numbers.max()}; expected numbers from 0 to {0xFFFFFFFF}"
         )
     b = np.full(numbers.shape, (0xDEADBEEF + 4 + seed) & 0xFFFFFFFF, dtype=np.uint32)
     a = b + numbers.astype(np.uint32).byteswap()  # the hash reads the big-endian word in little-endian order
@@ -138,10 +138,10 @@ def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[n
 
 
 class Namespaces:
-    """Network namespaces for the nodes of a policy and its plant, which exist while the ``with`` block runs.
+    """Network namespaces for a policy's nodes and their plant, which exist until the ``with`` block ends.
 
-    Their names contain the process id. On entry, namespaces of killed processes are removed, and processes that still
-    run in them are ended.
+    The names of the namespaces contain the process id. On entry, namespaces of killed processes are removed, and
+    processes that still run in them are ended.
     """
 
     def __init__(self, policy: Policy, losses: Mapping[str, KernelLoss], places: Sequence[str] = ()) -> None:
@@ -173,12 +173,12 @@ class Namespaces:
         self._clear()
 
     def before(self, place: str) -> list[str]:
-        """Return the prefix of a command that runs the command in the namespace of a node or of the plant."""
+        """Return the start of a command line that runs a command in the network namespace of a node or the plant."""
         return ["ip", "netns", "exec", self.names[place]]
 
     @contextmanager
     def visit(self, place: str) -> Generator[None]:
-        """Enter the namespace of a node or of the plant with this thread; sockets opened in the block stay there."""
+        """Move this thread to the network namespace of a node or the plant; sockets opened meanwhile belong to it."""
         with open("/proc/thread-self/ns/net", "rb") as home, open(_FOLDER / self.names[place], "rb") as there:
             _enter(there.fileno())
             try:
@@ -187,7 +187,7 @@ class Namespaces:
                 _enter(home.fileno())
 
     def counted(self, link: str) -> Counted:
-        """Return the counters of the kernel for a link."""
+        """Return the kernel's packet counters of a link."""
         found = json.loads(_run(*self.before(receiver_of(self.policy, link)), "nft", "-j", "list", "counters"))[
             "nftables"
         ]

@@ -1,4 +1,4 @@
-"""Servers that run nodes over UDP, either in lockstep (virtual time) or in real time.
+"""Servers that run nodes over UDP, in lockstep (virtual time) or in real time.
 
 In lockstep, every node sends a mark when it has finished a step, and begins a step when it has received the marks of
 all nodes that send to it. Packets are therefore never late, and the same seeds give the same run. In real time, a node
@@ -36,7 +36,7 @@ SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
 
 class NodeServer:
-    """A server that runs the nodes of one role, one node for each loop, on one socket.
+    """Server that runs the nodes of one role on one socket; each loop has a node of this role.
 
     Args:
         nodes: nodes, one per loop, in order.
@@ -80,9 +80,9 @@ class NodeServer:
         first = nodes[0]
         if not (first.measures or first.listens):
             raise ProblemError(
-                f"the {first.role} of this {first.policy.kind} neither measures nor uses what others send, so nothing "
-                "tells it when a step begins; expected a policy that uses the measurements, such as another weight of "
-                "the queries of a sensor"
+                f"the {first.role} of this {first.policy.kind} policy neither measures nor uses packets of other "
+                "nodes, so it cannot determine when a step begins; expected a policy that uses measurements, for "
+                "example with another weight of sensor queries"
             )
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         check_plant(f"node {first.role}", plant, first.measures or first.actuates)
@@ -115,16 +115,16 @@ class NodeServer:
             self._take_up(kept)
         self._unused = [self._unusable(node) for node in nodes]
 
-    def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
+    def run(self, steps: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Execute ``steps`` steps, or fewer if the server is stopped, and return the report."""
         drive(
             self.endpoint,
-            self.turns(lambda: stopped() or (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes))),
+            self.turns(lambda: stopped() or (steps is not None and all(node.tick >= steps - 1 for node in self.nodes))),
         )
         return self.report()
 
     def turns(self, ended: Callable[[], bool]) -> Turns:
-        """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
+        """Execute every step that can begin, each time that datagrams arrive or that a waiting time is over."""
         while not ended():
             until = self._until()
             touched = self._take((yield until))
@@ -135,7 +135,7 @@ class NodeServer:
             self._expire(now)
 
     def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Receive packets until stopped, without executing further steps, and return the report."""
+        """Receive packets until the server is stopped, but execute no further step, and return the report."""
         take_until(self.endpoint, self._take, stopped)
         return self.report()
 
@@ -158,6 +158,9 @@ class NodeServer:
             "measurements": self.measured,
             "datagrams": self.endpoint.counted,
             "degraded": dict(reasons),
+            "silence": [
+                {"loop": loop, **life.document()} for loop, node in enumerate(self.nodes) for life in node.silence
+            ],
             "seconds": round(self._clock() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
         }
@@ -284,8 +287,8 @@ class NodeServer:
     def _notice(self, now: float, until: float) -> None:
         """Add up the time that has passed beyond that for which the server waited, until a packet confirms the phase.
 
-        The process was suspended, or its clock has jumped. After too much of it the node begins no step, because a node
-        that runs ahead of time would have to wait until its steps come.
+        The process was suspended, or its clock has jumped. After a large jump, the node begins no step, because a node
+        that is ahead of time would have to wait until its steps are due.
         """
         if self.phase.confirmations > self._confirmed:
             self._strayed = min(self._strayed, self.phase.late)

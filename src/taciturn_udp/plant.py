@@ -1,4 +1,4 @@
-"""A server for simulated plants, which sends their measurements to nodes on UDP and applies the inputs that arrive."""
+"""Server of simulated plants: it sends measurements to nodes over UDP, and applies the inputs that it receives."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's 
 
 
 class Physical(Protocol):
-    """Interface of a plant that advances one step at a time, such as ``SimulatedPlant``."""
+    """Interface of a plant that is simulated step by step, such as ``SimulatedPlant``."""
 
     @property
     def inputs(self) -> int:
@@ -28,12 +28,12 @@ class Physical(Protocol):
 
     @property
     def tick_length(self) -> float:
-        """Seconds per step; 1 if the problem does not specify them."""
+        """Sampling period in seconds; 1 if the problem does not give one."""
         ...
 
     @property
     def measurement(self) -> Values:
-        """Measurement y of the current step, (p,)."""
+        """Measurement y at the present step, shape (p,)."""
         ...
 
     @property
@@ -42,7 +42,7 @@ class Physical(Protocol):
         ...
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Apply these inputs for one step, and return the cost of the step."""
+        """Apply these inputs to the plant for one step, and return the cost of the step."""
         ...
 
 
@@ -54,17 +54,17 @@ class _Inputs:
         self.forget()
 
     def forget(self) -> None:
-        """Hold the last values, and accept the packets of an epoch of any number."""
+        """Accept packets of any epoch from now on, and continue to apply the values of the last packet."""
         self.window, self.waiting = Window(), dict[int, Packet]()  # by step: a node may be one step ahead
         self.given = -1, -1  # epoch and step number of the last packet that was applied
 
     def apply(self, packet: Packet) -> None:
-        """Apply an input from now on."""
+        """Apply the input that a packet carries, from now on."""
         self.values, self.given = packet.values, (packet.epoch, packet.tick)
 
 
 class PlantServer:
-    """A server for plants, which sends their measurements to the sensor and receives their inputs.
+    """Server of plants: it sends their measurements to the sensors, and applies the inputs that it receives.
 
     Args:
         plants: plants, one per loop, in order.
@@ -113,15 +113,15 @@ class PlantServer:
         self.held = 0  # steps without a new input, in which the last input was held
         self.again = 0  # measurements sent again
 
-    def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Execute ``ticks`` steps, or fewer if stopped, and return the report."""
-        drive(self.endpoint, self.turns(ticks, stopped))
+    def run(self, steps: int, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Execute ``steps`` steps, or fewer if the server is stopped, and return the report."""
+        drive(self.endpoint, self.turns(steps, stopped))
         return self.report()
 
-    def turns(self, ticks: int, stopped: Callable[[], bool]) -> Turns:
-        """Execute ``ticks`` steps, or fewer if stopped, waiting for datagrams in between."""
+    def turns(self, steps: int, stopped: Callable[[], bool]) -> Turns:
+        """Execute ``steps`` steps, or fewer if the server is stopped; wait for datagrams between the steps."""
         zero = self._clock()
-        for count in range(ticks):
+        for count in range(steps):
             if stopped():
                 break
             self._now = count + self._shift
@@ -169,7 +169,7 @@ class PlantServer:
         }
 
     def given(self, loop: int) -> Values:
-        """Return the input that a plant has at present, (m,)."""
+        """Return the input that a plant applies at present, shape (m,)."""
         values = [0.0] * self.plants[loop].inputs
         for one in self._inputs[loop].values():
             for place, value in zip(one.places, one.values, strict=True):

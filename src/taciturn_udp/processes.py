@@ -1,4 +1,4 @@
-"""Nodes and links as processes on this machine, which can be started, killed, restarted and asked for a report."""
+"""Nodes and links as processes on this machine, which a caller can start, kill, restart, and ask for reports."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ class Process:
 
     @property
     def alive(self) -> bool:
-        """True if the process is running."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def expect(self) -> None:
-        """Wait until the process listens on its address."""
+        """Wait until the process can receive datagrams at its address."""
         end = time.monotonic() + PATIENCE
         while not self._listens.wait(0.05):
             if not self.alive:
@@ -81,7 +81,7 @@ class Process:
                 )
 
     def sentence(self) -> str:
-        """Return the last message of the process."""
+        """Return the last message that the process has printed to standard error."""
         if not self.alive:
             self._reader.join(1.0)
         said = [line.removeprefix("taciturn: ") for line in self._errors if LISTENS not in line and ENDED not in line]
@@ -98,7 +98,7 @@ class Process:
         self._close()
 
     def pause(self, seconds: float) -> None:
-        """Suspend the process, so that it observes a jump in time; not available on Windows."""
+        """Suspend the process, so that its clock seems to jump when it continues; not available on Windows."""
         if sys.platform == "win32":
             raise ProblemError(f"{self._name} cannot be suspended on Windows; expected Linux or macOS")
         self._process.send_signal(signal.SIGSTOP)
@@ -106,7 +106,7 @@ class Process:
         self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> dict[str, Any]:
-        """Request the process to end, and return its report."""
+        """Ask the process to end, and return its report."""
         self._process.send_signal(ASK)
         assert self._process.stdout is not None
         try:
@@ -140,7 +140,7 @@ class Process:
 
 
 class Processes:
-    """The processes of a policy: its nodes, on the loopback with one relay per link, or in network namespaces."""
+    """Processes of a policy's nodes: connected by relays on this machine, or in network namespaces."""
 
     def __init__(
         self,
@@ -195,12 +195,12 @@ class Processes:
 
     @property
     def measuring(self) -> dict[str, str]:
-        """Address of the node that receives the measurements, by link of the plant."""
+        """Address of the node that receives the measurements, for each link from the plant."""
         ends = plant_links(self.policy).items()
         return {link: self.addresses[one.measures] for link, one in ends if one.measures is not None}
 
     def start(self, *names: str) -> None:
-        """Start processes by name (default: all), and wait until they listen."""
+        """Start the named processes, or all of them, and wait until they can receive datagrams at their addresses."""
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
@@ -209,20 +209,20 @@ class Processes:
             self.running[name].expect()
 
     def restart(self, name: str) -> None:
-        """Kill a process and start it again; a separate thread may call this method."""
+        """Kill a process and start it again; another thread may call this method."""
         self.running.pop(name).kill()
         self.start(name)
 
     def ended(self) -> bool:
-        """Return whether any process has ended by itself."""
+        """Return whether a process has ended although it was not stopped."""
         return any(not process.alive for process in list(self.running.values()))
 
     def sentence(self) -> str:
-        """Return the last message of a process that has ended by itself."""
+        """Return the last message of a process that has ended although it was not stopped."""
         return next(process.sentence() for process in list(self.running.values()) if not process.alive)
 
     def stop(self) -> dict[str, dict[str, Any]]:
-        """End all processes, receivers after their senders, and return their reports by name."""
+        """End all processes, and each receiver after its senders; return their reports by name."""
         return {name: self.running.pop(name).stop() for name in self._flow if name in self.running}
 
     def kill(self) -> None:
@@ -240,7 +240,7 @@ class Processes:
         return receiver_of(self.policy, link)
 
     def peers(self, role: str) -> dict[str, str]:
-        """Return the receiver of a node's packets on each link: a relay, or the sender that it acknowledges."""
+        """Return the partner of a node on each link: a relay, or the sender whose packets the node acknowledges."""
         relayed = self._namespaces is None
         return {
             link: f"relay {link}" if relayed and self.sender(link) == role else other

@@ -1,4 +1,4 @@
-"""Reception of datagrams, with a key only from senders that are running, and repetition of the packets of a sender.
+"""Receive datagrams, and send packets again; with a key, senders must prove that they are running.
 
 A tag shows that a packet was once sent by a holder of the key, but not when. Therefore a process accepts the packets of
 an epoch only after their sender has answered a *challenge*:
@@ -33,7 +33,7 @@ UNANSWERED = 64  # challenges without an answer after which a message says so
 
 
 def disagreement(name: str, why: str, keyed: bool, sender: Address, datagram: bytes) -> str | None:
-    """Return a message if a datagram is rejected because the sender has another policy, key or release, else None."""
+    """Return a message if the sender of a rejected datagram has another policy, key or release; otherwise None."""
     version = datagram[OFFSETS["version"]] if len(datagram) > HEADER_SIZE else VERSION
     if why == "foreign" and version != VERSION:
         return (
@@ -58,7 +58,7 @@ class _Session:
 
 
 class Reception:
-    """The received datagrams of a process, which receives from one sender on each link of a loop."""
+    """Reception of datagrams by a process; each link of a loop has one sender."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class Reception:
         self._known: dict[tuple[str, int], _Session] = {}
 
     def packets(self, received: Iterable[tuple[bytes, Address]]) -> Iterator[tuple[Packet, Address]]:
-        """Yield the packets of received datagrams, and their senders; refuse invalid datagrams."""
+        """Decode datagrams, discard the invalid ones, and yield the packets, each with its sender."""
         changed = None if self._wire.keys is None else self._wire.keys.renew()
         if changed is not None:
             self._tell(changed)
@@ -94,7 +94,7 @@ class Reception:
                 self._tell(sentence)
 
     def admits(self, packet: Packet, sender: Address) -> bool:
-        """Return whether the sender of a packet has proven that it is running; if not, challenge it."""
+        """Return whether the sender of a packet has proven that it is running; if it has not, send it a challenge."""
         if not self._wire.keyed:
             return True
         session = self._known.setdefault((packet.link, packet.loop), _Session())
@@ -119,7 +119,7 @@ class Reception:
         return False
 
     def accepts(self, answer: Packet) -> bool:
-        """Store the proof in an answer, and return whether it begins another epoch; discard any other answer."""
+        """Accept an answer to a challenge; return whether its sender has restarted. Discard an unexpected answer."""
         session = self._known.get((answer.link, answer.loop))
         if session is None or session.nonce is None or session.nonce != answer.nonce:
             self.counters["unasked"] += 1
@@ -130,12 +130,12 @@ class Reception:
         return other
 
     def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
-        """Return the answer of a process that has executed step ``tick`` last (-1: none), and count it."""
+        """Return the answer to a challenge, and count it; ``tick`` is the step executed last (−1: none)."""
         self.counters["answered"] += 1
         return answer_to(challenge, epoch, tick)
 
     def save(self) -> list[list[Any]]:
-        """Return the proofs as values that JSON can represent."""
+        """Return all proofs as values that JSON can store."""
         return [[*name, session.epoch, session.first] for name, session in self._known.items()]
 
     def restore(self, saved: list[list[Any]]) -> None:
@@ -149,14 +149,14 @@ class Reception:
 
 
 def answer_to(challenge: Packet, epoch: int, tick: int) -> Packet:
-    """Return the answer of a sender that has executed step ``tick`` last (-1: none)."""
+    """Return a sender's answer to a challenge; ``tick`` is the step that the sender executed last (−1: none)."""
     assert challenge.kind in PROOFS
     first = max(tick + 1 - VALID, 0)
     return Packet("answer", challenge.link, first, 0, (), epoch, challenge.loop, not challenge.back, challenge.nonce)
 
 
 class Outbox:
-    """The packets of the last steps of the nodes of a process, one node for each loop."""
+    """The packets that a process sent in the last steps; the process runs one node for each loop."""
 
     def __init__(self, wire: Wire, port: Port, peers: Mapping[str, Address], loops: int) -> None:
         """Start without packets."""
@@ -167,16 +167,16 @@ class Outbox:
         self._repeated: dict[tuple[int, str | None], float] = {}  # time of the last repetition, by loop and link
 
     def keep(self, loop: int, packets: list[Packet]) -> None:
-        """Remember the packets of a step."""
+        """Store a step's packets, so that they can be sent again."""
         self._last[loop].append(packets)
 
     def send(self, packets: Sequence[Packet]) -> None:
-        """Send packets to the other ends of their links."""
+        """Send packets to the receivers of their links."""
         for packet in packets:
             self._port.send(self._wire.encode(packet), self._peers[packet.link])
 
     def repeat(self, loop: int, now: float, link: str | None = None) -> None:
-        """Send the packets of the last steps again, in their order: of one link, or of all links.
+        """Send the packets of the last steps once more, in the same order, on one link or on all links.
 
         The rate is limited, so that an attacker who repeats a datagram does not cause many others.
         """
@@ -189,7 +189,7 @@ class Outbox:
             self.send(again)
 
     def save(self) -> list[list[list[Any]]]:
-        """Return the packets of the first node as values that JSON can represent."""
+        """Return the first node's stored packets as values that JSON can store."""
         return [[list(packet) for packet in sent] for sent in self._last[0]]
 
     def restore(self, saved: list[list[list[Any]]]) -> None:

@@ -1,4 +1,4 @@
-"""A link that drops, delays, duplicates, reorders and corrupts packets, reproducibly for a given seed.
+"""Emulated link, which drops, delays, duplicates, reorders and corrupts packets as a random seed determines.
 
 The impairments of a packet depend only on the seed and its place (sequence number, step and loop), not on its arrival
 time. Therefore a run can be repeated, and its packet drops can be predicted (``Fate.lost``). ``losses`` are those of a
@@ -32,7 +32,7 @@ MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
 
 @dataclass(frozen=True, repr=False)
 class Fate(Displayed):
-    """The impairments that a link applies to packets.
+    """The impairments that a link causes: packets are dropped, delayed, duplicated, reordered or corrupted.
 
     Args:
         seed: seed of the random draws.
@@ -83,11 +83,11 @@ class Fate(Displayed):
             raise ProblemError(f"the outage is {self.outage}; expected (first, end) with 0 <= first < end")
 
     def uniform(self, purpose: int, index: int) -> float:
-        """Return a number in [0, 1) that depends on seed, purpose and index alone."""
+        """Return a pseudo-random number in [0, 1), as a function of seed, purpose and index only."""
         return uniform(self.seed, purpose, index)
 
     def lost(self, sequence: int, tick: int, loop: int = 0) -> bool:
-        """Return whether a packet is dropped; bursts and outages affect all loops that share the link."""
+        """Return whether the link drops a packet; bursts and outages affect the packets of all loops."""
         if self.outage is not None and self.outage[0] <= tick < self.outage[1]:
             return True
         chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
@@ -112,7 +112,7 @@ class Fate(Displayed):
 
 
 def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | None] | None = None) -> dict[str, Fate]:
-    """Return the impairments of the packets on each link of a network; during an outage, a link drops every packet."""
+    """Return the impairments of each link of a network, including an outage, in which a link drops every packet."""
     EMULATED.check(network)
     links = tuple(reversed(tuple(network.links)))
     return {
@@ -127,7 +127,7 @@ def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | 
 
 
 class EmulatedLink:
-    """A link that transforms a sequence of datagrams, without sockets; the caller provides the time."""
+    """Emulated link that takes and returns datagrams, without sockets or a clock; the caller provides the time."""
 
     def __init__(self, fate: Fate) -> None:
         """Start without packets on the link."""
@@ -140,17 +140,17 @@ class EmulatedLink:
 
     @property
     def due(self) -> float | None:
-        """The time at which the next datagram is due, or None if no datagram is waiting."""
+        """Time at which the next datagram leaves the link; None if the link holds no datagram."""
         return min(self._waiting)[0] if self._waiting else None
 
     @property
     def pending(self) -> int:
-        """Number of datagrams on the link, excluding marks."""
+        """Number of packets on the link; messages that only report the end of a step (marks) are not counted."""
         waiting = sum(not mark for _, _, mark, _ in self._waiting)
         return waiting + len(self._held) + (self._swapped is not None)
 
     def take(self, datagram: bytes, now: float) -> list[bytes]:
-        """Accept a datagram, and return the datagrams that leave the link immediately.
+        """Accept a datagram, and return the datagrams that leave the link at once.
 
         A mark reports that all packets of its step were sent before it. Marks and answers to challenges are never
         dropped. They are delayed by ``delay``, or longer if a packet sent before them is. They overtake only packets
@@ -191,7 +191,7 @@ class EmulatedLink:
         return self._send(copies, sequence, tick, now)
 
     def release(self, now: float) -> list[bytes]:
-        """Return the datagrams that are due."""
+        """Return the datagrams that leave the link now, because their delay is over."""
         due = sorted(entry for entry in self._waiting if entry[0] <= now)
         self._waiting = [entry for entry in self._waiting if entry[0] > now]
         self._out([datagram for _, _, mark, datagram in due if not mark])
@@ -218,7 +218,7 @@ class EmulatedLink:
 
 
 def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Forward datagrams to a peer over an emulated link until stopped, and return the report.
+    """Forward datagrams to an address over an emulated link until stopped, and return the report.
 
     Datagrams from the peer, such as challenges, go back without impairments to the last other sender.
     """
@@ -252,12 +252,12 @@ def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[
 
 
 def uniform(seed: int, purpose: int, index: int) -> float:
-    """Return a number in [0, 1) that depends on its arguments alone (SplitMix64 [steele2014])."""
+    """Return a pseudo-random number in [0, 1), as a function of the arguments only (SplitMix64 [steele2014])."""
     return _mix(_mix(seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
 
 
 def flip_bits(datagram: bytes, seed: int, index: int) -> bytes:
-    """Return a datagram of which one to three bits are inverted."""
+    """Invert one to three bits of a datagram."""
     harmed = bytearray(datagram)
     for i in range(1 + int(3 * uniform(seed, _BIT, 4 * index))):
         place = int(8 * len(harmed) * uniform(seed, _BIT, 4 * index + 1 + i))
@@ -266,7 +266,7 @@ def flip_bits(datagram: bytes, seed: int, index: int) -> bytes:
 
 
 def of_loop(sequence: int, loop: int) -> int:
-    """Return a number that identifies a packet among the packets of all loops."""
+    """Return a number that distinguishes a packet from all packets of this loop and of other loops."""
     return sequence | loop << 32
 
 

@@ -1,4 +1,4 @@
-"""Run of the nodes of a problem as processes on this machine, with measured cost and packets.
+"""Run the nodes of a problem as processes on this machine, and measure cost and packets.
 
 The nodes run as they would on different machines: each is a process with a socket. On the loopback interface, a relay
 on each link drops packets; in network namespaces, the kernel does. This process serves the plant. It computes the cost
@@ -32,6 +32,7 @@ from taciturn.problem.without_file import PASSED, as_problem, pass_problem
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.study.evaluation import cost_unit
+from taciturn.study.sentences import WITHDRAWN
 from taciturn_udp.averages import cost_of_ticks, rate_of_ticks, remark_on_rates
 from taciturn_udp.endpoint import Endpoint, parse_address
 from taciturn_udp.logs import PART, Logs
@@ -39,7 +40,7 @@ from taciturn_udp.namespaces import Counted, Namespaces, kernel_losses, predict_
 from taciturn_udp.plant import PlantServer
 from taciturn_udp.processes import Processes
 from taciturn_udp.relay import Fate, losses
-from taciturn_udp.result import NetworkRun
+from taciturn_udp.result import NetworkRun, uncertified
 from taciturn_udp.service import Told
 
 USUAL = 5000  # default number of steps
@@ -49,7 +50,7 @@ def run_network(
     file: str | Path | Problem | Policy,
     *,
     settings: Sequence[str] = (),
-    ticks: int | None = None,
+    steps: int | None = None,
     tick: float | None = None,
     seed: int = 0,
     key: bytes | Keys | None = None,
@@ -59,7 +60,7 @@ def run_network(
     progress: Progress | None = None,
     meanwhile: Callable[[Processes], None] | None = None,
 ) -> NetworkRun:
-    """Run a plant and its nodes as processes on this machine, and return their cost and packets.
+    """Run a plant and its nodes as processes on this machine, and return the measured cost and packets.
 
     The processes use the loopback interface with a relay on each link, or network namespaces in which the kernel drops
     packets.
@@ -67,7 +68,7 @@ def run_network(
     Args:
         file: problem file, the name of a built-in problem, a problem, or a policy.
         settings: changes of the keys, each of the form NAME=VALUE as in ``--set``.
-        ticks: number of steps; default: the horizon of a finite-horizon run, or 5000.
+        steps: number of steps; default: the horizon of a finite-horizon run, or 5000.
         tick: real seconds per step; default: virtual time, in which no packet is late and a run is reproducible for a
             given seed.
         seed: seed of the plant, the random draws and the losses.
@@ -90,7 +91,7 @@ def run_network(
     policy = problem.design()
     loop = problem.close(policy)
     count("seed", seed, 0)
-    ticks = loop.ticks(ticks if ticks is not None else problem.cost.horizon or USUAL)
+    steps = loop.checked_steps(steps if steps is not None else problem.cost.horizon or USUAL)
     key = read_keys() if key is None else key
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
@@ -124,13 +125,13 @@ def run_network(
             sensors = {link: parse_address("a node", at) for link, at in processes.measuring.items()}
             simulated = SimulatedPlant(loop, seed)
             bar = in_notebook(progress)
-            shown: Told | None = None if bar is None else lambda line: bar((line["tick"] + 1) / ticks)
+            shown: Told | None = None if bar is None else lambda line: bar((line["tick"] + 1) / steps)
             server = PlantServer([simulated], wire, plant, sensors, tick=tick, told=shown)
             with logs.followed():
                 if meanwhile is None:
-                    server.run(ticks, processes.ended)
+                    server.run(steps, processes.ended)
                 else:
-                    _disturbed(server, ticks, processes, meanwhile)
+                    _disturbed(server, steps, processes, meanwhile)
                 if processes.ended():
                     raise ProblemError(processes.sentence())
                 reports = {**processes.stop(), "plant": server.report()}
@@ -167,7 +168,8 @@ def run_network(
         + remark_on_rates(loop, rates.values(), len(costs))
         + _unheard(loop, datagrams)
         + _unforeseen(datagrams)
-        + tuple(f"{text}: no guarantee holds" for text in differences),
+        + uncertified(loop, reports)
+        + tuple(f"{text}{WITHDRAWN}" for text in differences),
     )
 
 
@@ -177,7 +179,9 @@ def _check_fates(fates: Mapping[str, Fate], policy: Policy) -> None:
     links = [step.link for step in policy.steps if isinstance(step, Send)]
     for link, fate in fates.items():
         if link not in links:
-            raise ProblemError(f"fates has the link {link!r}; expected links of {policy.kind}: {', '.join(links)}")
+            raise ProblemError(
+                f"fates names the link {link!r}; expected links of the policy {policy.kind}: {', '.join(links)}"
+            )
         instance(f"fates[{link!r}]", fate, Fate)
 
 
@@ -187,11 +191,11 @@ def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
 
 
-def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile: Callable[[Processes], None]) -> None:
+def _disturbed(server: PlantServer, steps: int, processes: Processes, meanwhile: Callable[[Processes], None]) -> None:
     """Run the plant while a function disturbs the nodes in a thread; an exception in this thread ends the run."""
     with ThreadPoolExecutor(1) as pool:
         disturbance = pool.submit(meanwhile, processes)
-        server.run(ticks, lambda: disturbance.done() and (disturbance.exception() is not None or processes.ended()))
+        server.run(steps, lambda: disturbance.done() and (disturbance.exception() is not None or processes.ended()))
         disturbance.result()
 
 

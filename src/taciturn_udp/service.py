@@ -1,4 +1,4 @@
-"""Parts of all servers: what they print, their sockets, the storage of their state, and the wait for datagrams."""
+"""Parts that all servers share: messages, sockets, stored states, and waiting for datagrams."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
 def say_where(name: str, address: Address) -> None:
-    """Print to standard error the address that a process listens on."""
+    """Print, to standard error, the address at which a process receives."""
     say(f"the {name} {LISTENS} {address[0]}:{address[1]}")
 
 
@@ -34,19 +34,19 @@ def say(sentence: str) -> None:
 
 
 class Port(Protocol):
-    """Interface of the socket of a server: ``taciturn_udp.endpoint.Endpoint``, or one in virtual time."""
+    """Interface of a server's socket: a UDP socket (``taciturn_udp.endpoint.Endpoint``) or one in virtual time."""
 
     received: int
     senders: list[Address]
 
     @property
     def address(self) -> Address:
-        """The address that the socket listens on."""
+        """The address at which the socket receives."""
         ...
 
     @property
     def counted(self) -> dict[str, int | None]:
-        """The counters of datagrams sent and received."""
+        """Numbers of datagrams that the socket has sent and received."""
         ...
 
     def send(self, datagram: bytes, to: Address) -> None:
@@ -54,24 +54,24 @@ class Port(Protocol):
         ...
 
     def receive(self, until: float | None) -> list[bytes]:
-        """Return the received datagrams; wait for the first one until a time of the server's clock."""
+        """Return received datagrams; wait for the first one until the server's clock shows ``until``."""
         ...
 
 
 class Storage(Protocol):
-    """A place that keeps the state of a node while its process does not run."""
+    """Interface of a storage for a node's state, from which the node continues after a restart."""
 
     def read(self) -> bytes | None:
-        """Return the saved state, or None if there is none."""
+        """Return the stored state; None if no state is stored."""
         ...
 
     def write(self, state: bytes) -> None:
-        """Replace the saved state, completely or not at all."""
+        """Replace the stored state at once, so that an interruption leaves either the old or the new state."""
         ...
 
 
 class FileStorage:
-    """A saved state in a file."""
+    """Storage of a node's state in a file."""
 
     def __init__(self, path: Path) -> None:
         """Check that the folder exists, and delete incomplete files, which a killed process has left."""
@@ -87,7 +87,7 @@ class FileStorage:
         return str(self._path)
 
     def read(self) -> bytes | None:
-        """Return the content of the file, or None if it does not exist."""
+        """Return the contents of the file; None if the file does not exist."""
         try:
             return read_bytes(self._path, LARGEST)
         except FileNotFoundError:
@@ -104,12 +104,12 @@ class FileStorage:
 
 
 def usual_wait(policy: Policy, role: str) -> float:
-    """Return the fraction of a step for which a node waits; the controller sends before its receivers act."""
+    """Return how long a node waits for packets, as a fraction of a step; the controller waits for a shorter time."""
     return WAIT[role != policy.network.controller]
 
 
 def drive(port: Port, turns: Turns) -> None:
-    """Run a server, which yields the time until which it waits for datagrams, and is sent those that arrive."""
+    """Run a server: receive datagrams until the time that the generator ``turns`` yields, and send them to it."""
     found: Sequence[bytes] | None = None
     try:
         while True:
@@ -119,7 +119,7 @@ def drive(port: Port, turns: Turns) -> None:
 
 
 def take_until(endpoint: Port, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
-    """Receive datagrams until stopped, and then those that were sent before the stop."""
+    """Receive datagrams until the server is stopped, and then those that were sent before the stop."""
     while not stopped():
         take(endpoint.receive(time.monotonic() + IDLE))
     while found := endpoint.receive(time.monotonic() + QUIET):

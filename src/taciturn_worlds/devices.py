@@ -1,4 +1,4 @@
-"""Nodes in exported C, compiled for this machine, with the interface of nodes in Python.
+"""Nodes in exported C code, compiled for this machine, with the interface of the nodes in Python.
 
 The C code reads the datagrams of other nodes itself: it checks them, challenges their senders, and answers challenges.
 Its server exchanges packets with the plant, and keeps the time of the steps.
@@ -71,23 +71,23 @@ bool shim_settled(const tac_node *node, uint8_t link, uint64_t number) {
 
 
 class NoCompilerError(ProblemError):
-    """There is no C compiler on this machine."""
+    """Error raised if this machine has no C compiler."""
 
 
 class Key(c.Structure):
-    """The key of a node, as the core declares it."""
+    """C structure of a node's key."""
 
     _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
 
 
 class DeviceCode:
-    """The C code of a node, compiled and loaded, with the memory of one device."""
+    """A node's C code, compiled and loaded, with the memory of one device."""
 
     def __init__(self, policy: Policy, role: str, network: Network, core: Mapping[str, str] | None = None) -> None:
         """Compile and load the code."""
         compiler = shutil.which("cc")
         if compiler is None:
-            raise NoCompilerError("there is no C compiler `cc`; expected one, to run nodes in C")
+            raise NoCompilerError("no C compiler `cc` was found; expected a C compiler, which nodes in C require")
         found = print_node(policy, role, network, "device")
         texts = {name: (FOLDER / name).read_text(encoding="ascii") for name in CORE}
         for old, new in (core or {}).items():
@@ -102,7 +102,9 @@ class DeviceCode:
             command = [compiler, *OPTIONS, "-o", "device.so", *sources]
             done = subprocess.run(command, cwd=folder, capture_output=True, encoding="utf-8", check=False)
             if done.returncode:
-                raise ProblemError(f"the C compiler fails on the {role}: {done.stderr.strip()}; expected C99")
+                raise ProblemError(
+                    f"the C compiler cannot compile the {role}: {done.stderr.strip()}; expected a compiler for C99"
+                )
             self.code: Any = c.CDLL(str(Path(folder) / "device.so"))
         for name in ("device_start", "tac_input", "shim_counters", "shim_memory", "shim_inputs"):
             getattr(self.code, name).restype = c.c_void_p
@@ -124,7 +126,7 @@ class DeviceCode:
         self.memory = c.create_string_buffer(self.code.shim_size())
 
     def start(self, epoch: int, loop: int) -> Any:
-        """Start the node without a key, and return its address."""
+        """Start the node without keys, and return the memory address of its state."""
         return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), Key(None, 0)))
 
 
@@ -134,14 +136,14 @@ class _Channels(Inbox):
     node: DeviceNode
 
     def settled(self, link: str, tick: int) -> bool:
-        """Return whether the packet of a step has arrived or will not be sent."""
+        """Return whether a step's packet on a link has arrived, or is known not to be sent."""
         return self.node.settled(link, tick)
 
 
 class DeviceNode(Node):
-    """A node whose packets and steps are handled by C code.
+    """A node whose steps and packets are computed by exported C code.
 
-    It starts when it is made; an earlier node on the same device does not run any more.
+    The node starts when the object is created; an earlier node on the same device then no longer runs.
     """
 
     def __init__(
@@ -171,7 +173,7 @@ class DeviceNode(Node):
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
 
     def set_keys(self, keys: Keys) -> None:
-        """Give the keys of the links between nodes and of set-points to the device, if they have changed."""
+        """Give the device the keys of its links, if the keys have changed."""
         for code, link in enumerate(self.wire.links):
             found = () if link in self.wire.physical else keys.of(link)
             if found and found != self._keys.get(link):
@@ -181,12 +183,12 @@ class DeviceNode(Node):
 
     @property
     def waiting(self) -> int:
-        """Number of packets that wait for their step."""
+        """Number of packets that arrived early and wait for their step."""
         return self._code.shim_waiting(self._self)
 
     @property
     def degraded(self) -> bool:
-        """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
+        """Whether the loop is still affected by an event that the policy's theory excludes."""
         return self._code.tac_degraded(self._self)
 
     @property
@@ -196,16 +198,16 @@ class DeviceNode(Node):
 
     @property
     def silent_links(self) -> tuple[str, ...]:
-        """The links whose watchdog on the device has expired."""
+        """The links whose watchdogs on the device have expired."""
         codes = {link: c.c_uint8(self.wire.links.index(link)) for link in self.limits}
         return tuple(link for link, code in codes.items() if self._code.tac_silent_on(self._self, code))
 
     def settled(self, link: str, tick: int) -> bool:
-        """Return whether the packet of a step has arrived or will not be sent."""
+        """Return whether a step's packet on a link has arrived, or is known not to be sent."""
         return self._code.shim_settled(self._self, c.c_uint8(self.wire.links.index(link)), c.c_uint64(tick))
 
     def receive(self, datagram: bytes) -> str:
-        """Give a datagram to the device, and return the counter of what became of it; ``waiting`` if it is usable."""
+        """Pass a datagram to the device; return ``waiting`` if the device can use it, or the counter that counts it."""
         before = [self.counters[name] for name in DROPPED]
         usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
         self._count()
@@ -237,20 +239,20 @@ class DeviceNode(Node):
         return Stepped(self.sent(), self._output())
 
     def expire(self) -> Values | None:
-        """Let the watchdog of the device expire while no step begins; return its safe input."""
+        """Let the device's watchdog expire, although no step begins, and return the device's safe input."""
         given = super().expire()
         self._code.tac_expire(self._self)
         return None if given is None else self._output()
 
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
-        """Return the marks of the device."""
+        """Return the device's marks: messages that say that the device is running and has finished the step."""
         self._code.tac_mark_after(self._self, c.c_uint32(every))
         found = self.sent()
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
         return found
 
     def save(self) -> dict[str, Any]:
-        """Return the saved state of the device as values that JSON can represent."""
+        """Return the state of the device as values that JSON can store."""
         room = c.create_string_buffer(len(self._device.memory))
         size = self._code.tac_save(self._self, room, c.c_size_t(len(room)))
         return {"state": base64.b64encode(room.raw[:size]).decode(), "tick": self.tick, "epoch": self.epoch}
@@ -259,15 +261,18 @@ class DeviceNode(Node):
         """Continue from a saved state."""
         state = base64.b64decode(saved["state"])
         if not self._code.tac_restore(self._self, state, c.c_size_t(len(state))):
-            raise ProblemError(f"the {self.role} in C refuses its own saved state; expected one that it accepts")
+            raise ProblemError(
+                f"the {self.role} in C refuses its own saved state; expected a saved state that it accepts"
+            )
         self.tick, self.epoch = saved["tick"], saved["epoch"]
+        self._memory = self._numbers("shim_memory", len(self._memory))
         self._count()
 
     def _numbers(self, function: str, count: int) -> list[float]:
         return list((c.c_double * count).from_address(getattr(self._code, function)(self._self)))
 
     def sent(self) -> tuple[Packet, ...]:
-        """Return the packets that the device has to send."""
+        """Return the packets that the device sends in the present step."""
         found: list[Packet] = []
         while size := self._code.tac_send(self._self, self._device.datagram):
             packet = cast("Packet", self.wire.decode(self._device.datagram.raw[:size]))
@@ -290,7 +295,7 @@ class DeviceNode(Node):
 
 
 class DeviceServer(NodeServer):
-    """A server of a node in C. Its arguments are those of ``NodeServer``."""
+    """Server of a node in C, with the same arguments as ``NodeServer``."""
 
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Give the datagrams of other nodes to the device, and those of the plant to this server."""
@@ -310,10 +315,12 @@ class DeviceServer(NodeServer):
         return cast("DeviceNode", self.nodes[0])
 
     def _give(self, datagram: bytes, sender: Address) -> None:
-        """Give a datagram to the device, and send what it asks for or answers."""
+        """Give a datagram to the device, and send the challenges and answers that it returns."""
         packet, found = self.wire.decode(datagram), self._device.receive(datagram)
         if found != packet if isinstance(packet, str) else found in REFUSALS:
-            raise ProblemError(f"the {self._device.role} in C finds a datagram {found}, a node in Python {packet}")
+            raise ProblemError(
+                f"the {self._device.role} in C classifies a datagram as {found}, but a node in Python as {packet}"
+            )
         if isinstance(packet, Packet):
             self._note(packet, found, self._clock(), repeated=False)
         for answer in self._device.sent():
@@ -329,5 +336,5 @@ class DeviceServer(NodeServer):
 
 @lru_cache(maxsize=8)
 def compile_devices(loop: Loop) -> Mapping[str, Callable[..., DeviceNode]]:
-    """Return functions that start the nodes of a loop in C, by role."""
+    """Compile the nodes of a loop in C; return, for each role, a function that starts its node."""
     return {role: partial(DeviceNode, DeviceCode(loop.policy, role, loop.network)) for role in roles(loop.policy)}

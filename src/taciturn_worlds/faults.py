@@ -1,4 +1,4 @@
-"""Faults of links, processes, clocks and keys as plain data, and their random choice for a seed.
+"""Faults of links, processes, clocks and keys, described as data, and drawn at random from a seed.
 
 Times are steps of the plant. A fault of a link changes datagrams that are sent while it lasts. Its random draws depend
 on its own seed and the number of the datagram alone, so a fault acts alike if other faults are left out of a list.
@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn.extend import Displayed, percent
+from taciturn.extend import Displayed, number_of, percent
 from taciturn_udp.relay import flip_bits, uniform
 
 _LOSS, _DELAY, _TIME, _COPY, _HARM = range(21, 26)
@@ -38,21 +38,21 @@ class Fault(Displayed, ABC):
 
     @property
     def end(self) -> float:
-        """Step from which on it has no direct effect."""
+        """Step at which the fault's direct effect ends."""
         return self.first + self.steps
 
     def text(self) -> str:
-        """Return the fault as a line of text."""
+        """Return a line of text that describes the fault."""
         return f"steps {self.first} to {self.first + self.steps - 1}: {self.what()}"
 
     @abstractmethod
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
 
 
 @dataclass(frozen=True, repr=False)
 class LinkFault(Fault):
-    """A fault of a link in one direction."""
+    """A fault of a link in one of its two directions."""
 
     path: Path  # sender and receiver
     share: float = 1.0  # probability that a datagram is affected
@@ -60,57 +60,57 @@ class LinkFault(Fault):
 
     @abstractmethod
     def act(self, flights: Flights, number: int) -> Flights:
-        """Return what becomes of a datagram with this number on its path."""
+        """Return the delays and contents with which one sent datagram arrives; ``number`` is its place on the path."""
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         affected = "every datagram" if self.share >= 1 else f"{percent(self.share, 0)} of the datagrams"
         return f"{affected} from {self.path[0]} to {self.path[1]} {self.effect()}"
 
     @abstractmethod
     def effect(self) -> str:
-        """Return the verb of the sentence."""
+        """Return the predicate of the sentence that describes the fault."""
 
     def _hits(self, purpose: int, number: int) -> bool:
         return uniform(self.seed, purpose, number) < self.share
 
 
 class Loss(LinkFault):
-    """Datagrams are dropped; with share 1 the link is cut, as in a partition."""
+    """Fault of a link that drops a share of the datagrams; a share of 1 drops all of them."""
 
     def act(self, flights: Flights, number: int) -> Flights:
         """Drop the datagram."""
         return [] if self._hits(_LOSS, number) else flights
 
     def effect(self) -> str:
-        """Return the verb of the sentence."""
+        """Return the predicate of the sentence that describes the fault."""
         return "is dropped" if self.share >= 1 else "are dropped"
 
 
 @dataclass(frozen=True, repr=False)
 class Delay(LinkFault):
-    """Datagrams arrive late. Some of them, or a random delay, also changes their order."""
+    """Fault of a link that delays datagrams; unequal delays change their order."""
 
     least: float = 0.0  # smallest delay in steps
     most: float = 1.0  # largest delay in steps
 
     @property
     def end(self) -> float:
-        """Step from which on it has no direct effect."""
+        """Step at which the fault's direct effect ends."""
         return self.first + self.steps + self.most
 
     def act(self, flights: Flights, number: int) -> Flights:
-        """Delay all copies of the datagram alike."""
+        """Delay every copy of the datagram by the same time."""
         if not self._hits(_DELAY, number):
             return flights
         by = self.least + (self.most - self.least) * uniform(self.seed, _TIME, number)
         return [(delay + by, datagram) for delay, datagram in flights]
 
     def effect(self) -> str:
-        """Return the verb of the sentence."""
+        """Return the predicate of the sentence that describes the fault."""
         verb = "arrives" if self.share >= 1 else "arrive"
         late = f"{self.least:g} to {self.most:g}" if self.most > self.least else f"{self.most:g}"
-        return f"{verb} {late} steps late"
+        return f"{verb} {number_of(late, 'step')} late"
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,7 +121,7 @@ class Duplicate(LinkFault):
 
     @property
     def end(self) -> float:
-        """Step from which on it has no direct effect."""
+        """Step at which the fault's direct effect ends."""
         return self.first + self.steps + self.most
 
     def act(self, flights: Flights, number: int) -> Flights:
@@ -132,12 +132,12 @@ class Duplicate(LinkFault):
         return flights + [(delay + by, datagram) for delay, datagram in flights]
 
     def effect(self) -> str:
-        """Return the verb of the sentence."""
-        return f"{'arrives' if self.share >= 1 else 'arrive'} twice, within {self.most:g} steps"
+        """Return the predicate of the sentence that describes the fault."""
+        return f"{'arrives' if self.share >= 1 else 'arrive'} twice, within {number_of(f'{self.most:g}', 'step')}"
 
 
 class Corruption(LinkFault):
-    """One to three bits of datagrams are inverted."""
+    """Fault of a link that inverts one to three bits of a datagram."""
 
     def act(self, flights: Flights, number: int) -> Flights:
         """Invert bits of the datagram."""
@@ -146,20 +146,20 @@ class Corruption(LinkFault):
         return [(delay, flip_bits(datagram, self.seed, number)) for delay, datagram in flights]
 
     def effect(self) -> str:
-        """Return the verb of the sentence."""
+        """Return the predicate of the sentence that describes the fault."""
         return f"{'loses' if self.share >= 1 else 'lose'} one to three bits"
 
 
 @dataclass(frozen=True, repr=False)
 class Replay(Fault):
-    """Datagrams of the same session are sent again: in each step, those that were sent some steps earlier."""
+    """An attack that sends the datagrams of the same session again, a fixed number of steps later."""
 
     path: Path  # sender and receiver
     age: int  # number of steps since they were sent
 
     def what(self) -> str:
-        """Return what happens, in words."""
-        return f"datagrams from {self.path[0]} to {self.path[1]} are sent again after {self.age} steps"
+        """Return the event, in words."""
+        return f"datagrams from {self.path[0]} to {self.path[1]} are sent again after {number_of(self.age, 'step')}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,12 +171,12 @@ class ProcessFault(Fault):
 
 @dataclass(frozen=True, repr=False)
 class Crash(ProcessFault):
-    """A process is killed, and started again after some steps."""
+    """Fault that kills a process and starts it again some steps later."""
 
     kept: bool  # whether it starts from its saved state
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         return f"the {self.role} does not run, and starts again {'with' if self.kept else 'without'} its state"
 
 
@@ -184,13 +184,13 @@ class Pause(ProcessFault):
     """A process is suspended."""
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         return f"the {self.role} is suspended"
 
 
 @dataclass(frozen=True, repr=False)
 class Jump(ProcessFault):
-    """The clock of a machine jumps.
+    """Fault in which a machine's clock jumps.
 
     Args:
         by: steps by which the clock jumps, forward or (negative) back.
@@ -199,34 +199,35 @@ class Jump(ProcessFault):
     by: float
 
     def text(self) -> str:
-        """Return the fault as a line of text."""
+        """Return a line of text that describes the fault."""
         return f"step {self.first}: {self.what()}"
 
     def what(self) -> str:
-        """Return what happens, in words."""
-        return f"the clock of the {self.role} jumps {'forward' if self.by > 0 else 'back'} by {abs(self.by):g} steps"
+        """Return the event, in words."""
+        way, steps = "forward" if self.by > 0 else "back", number_of(f"{abs(self.by):g}", "step")
+        return f"the clock of the {self.role} jumps {way} by {steps}"
 
 
 @dataclass(frozen=True, repr=False)
 class Skew(ProcessFault):
-    """A fault from which on the clock of a machine is fast or slow; the fault lasts to the end of the world."""
+    """Fault in which a machine's clock runs fast or slow, from one step to the end of the test."""
 
     by: float  # relative error of its speed
 
     def text(self) -> str:
-        """Return the fault as a line of text."""
+        """Return a line of text that describes the fault."""
         return f"from step {self.first}: {self.what()}"
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         return f"the clock of the {self.role} is {percent(abs(self.by), 2)} {'fast' if self.by > 0 else 'slow'}"
 
 
 def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: int) -> tuple[Fault, ...]:
-    """Return one to five random faults, of which some are moved to where they harm most.
+    """Draw one to five random faults, and move some of them to steps at which they do most harm.
 
-    Half of the replays begin when a process starts again, if one does. Half of the losses cut a process when it starts
-    again, continues, or its clock jumps.
+    Half of the replays begin when a process starts again, if one does. Half of the losses disconnect a process when it
+    starts again, when it continues, or when its clock jumps.
     """
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     found = [_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6))]
@@ -281,7 +282,7 @@ FAR = 1_000_000  # steps by which a recording of a long session is ahead
 
 @dataclass(frozen=True, repr=False)
 class Recording(Fault):
-    """An attacker sends a recording: everything that was sent on a path before, in the order of the recording."""
+    """An attack that sends recorded datagrams: all that were sent on a path before, in the same order."""
 
     path: Path  # sender and receiver
     # difference of the epoch of the recorded session from the present one, or 0 for the present session
@@ -289,44 +290,45 @@ class Recording(Fault):
     ahead: int = 0  # steps by which the steps of the recording are ahead of those of the present session
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         session = "this session" if not self.epochs else f"a session with an epoch {self.epochs:+d}"
-        return f"a recording of {session}, {self.ahead} steps ahead, is sent from {self.path[0]} to {self.path[1]}"
+        ahead = number_of(self.ahead, "step")
+        return f"a recording of {session}, {ahead} ahead, is sent from {self.path[0]} to {self.path[1]}"
 
 
 @dataclass(frozen=True, repr=False)
 class Forgery(Fault):
-    """An attacker sends packets with other numbers than those of the last step, and with a tag of a wrong key."""
+    """An attack with forged packets, which carry other numbers than the last packets, and the tag of a wrong key."""
 
     path: Path  # sender and receiver
     former: bool  # whether the key is a former key of this link, if there is one, or the key of another link
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         key = "a former key or that of another link" if self.former else "an unknown key"
         return f"packets from {self.path[0]} to {self.path[1]} are forged with {key}"
 
 
 @dataclass(frozen=True, repr=False)
 class KeyChange(Fault):
-    """The key of a link is changed in three writings of the key files: the new key is added, used, and left alone."""
+    """Change of a link's key by three updates of the key files: add the new key, use it, and remove the old key."""
 
     link: str  # the link
 
     @property
     def end(self) -> float:
-        """Step from which on it has no direct effect."""
+        """Step at which the fault's direct effect ends."""
         return self.first + self.steps + READ
 
     def what(self) -> str:
-        """Return what happens, in words."""
+        """Return the event, in words."""
         return f"the key of the {self.link} link is changed"
 
 
 def draw_attacks(
     seed: int, paths: Sequence[Path], links: Sequence[str], within: int, faults: Sequence[Fault]
 ) -> tuple[Fault, ...]:
-    """Return one to three random faults of nodes with keys; some recordings begin when a process starts again."""
+    """Draw one to three random attacks on nodes that have keys; some begin when a process starts again."""
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6,)))
     crash = next((fault for fault in faults if isinstance(fault, Crash)), None)
     found: list[Fault] = []

@@ -1,4 +1,4 @@
-"""Invariants that must hold at each step of a simulated network with faults.
+"""Invariants that a simulated network must satisfy at each step, also under faults.
 
 The monitor decodes every datagram that a process sends, and compares what nodes and plant use with it. It reads the
 counters and the state of the nodes, but it does not rely on their handling of packets.
@@ -61,15 +61,15 @@ class BrokenError(Exception):
 
 
 def count_proofs(reception: Reception) -> int:
-    """Return the number of challenges and answers that a process has received."""
+    """Return how many challenges and answers a process has received."""
     return sum(number for name, number in reception.counters.items() if name != "challenges")
 
 
 class Life:
-    """A process of a node from its start to its end, as the monitor sees it."""
+    """One process of a node from its start to its end, as the monitor of invariants observes it."""
 
     def __init__(self, server: NodeServer, port: VirtualPort, began: float) -> None:
-        """Remember what the counters show at the start."""
+        """Store the values of the counters at the start."""
         self.server, self.port = server, port
         self.node: Node = server.nodes[0]
         self.plant = plant_link(self.node.policy, self.node.role)
@@ -82,12 +82,12 @@ class Life:
         self.read: dict[tuple[str, str], Order] = defaultdict(lambda: BEFORE)
 
     def counters(self) -> Counter[str]:
-        """Return the counters of node and server, which include earlier runs with the same saved state."""
+        """Return the counters of the node and its server, including those of earlier processes with the same state."""
         measured = Counter({"measurements": self.server.measured})
         return self.node.counters + self.server.refused + self.server.reception.counters + measured
 
     def count(self, *names: str) -> int:
-        """Return how many datagrams were counted in this life under some names; default: under all names."""
+        """Return how many datagrams this process has counted under the given names; without names, under all names."""
         server = self.server
         own = sum(self.node.counters[name] - self._kept[name] for name in names or DATAGRAMS)
         if names:
@@ -125,13 +125,13 @@ class Monitor:
         self.ticks = 0  # steps of nodes
 
     def fail(self, invariant: str, sentence: str) -> None:
-        """Report that an invariant does not hold."""
+        """Report that an invariant is violated."""
         raise BrokenError(invariant, int(self._step()), sentence)
 
     def born(self, role: str, life: Life, fresh: bool) -> None:
-        """Record the start of a process; with its state, it remembers what it has read.
+        """Record that a process starts; a process with a saved state still knows which packets it has read.
 
-        With a key, a process without its state also uses nothing older, except what its sender repeats.
+        With a key, also a process without its state uses no older packets, except those that its sender repeats.
         """
         before = self.lives.get(role)
         if before is not None and not fresh:
@@ -141,7 +141,7 @@ class Monitor:
         self.lives[role] = life
 
     def sent(self, packet: Packet | str, role: str) -> None:
-        """Record a packet that a process sends."""
+        """Record a packet that a process sends, for later checks."""
         if isinstance(packet, str):
             self.fail(NUMBERS, f"the {role} has sent a datagram that is {packet}")
             return
@@ -183,7 +183,7 @@ class Monitor:
             self._last[role, packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
 
     def forge(self, role: str) -> None:
-        """Record that a forged datagram was sent to a process."""
+        """Record that a process is sent a forged datagram."""
         if role == "plant":
             self._forged += 1
         else:
@@ -198,7 +198,7 @@ class Monitor:
             known.append(packet.nonce)
 
     def stepped(self, role: str, line: Mapping[str, Any]) -> None:
-        """Check a step of a node: no packet is older than one that was read before, and steps come in order."""
+        """Check a node's step: steps are in order, and the node reads no packet older than those it has read."""
         life, now = self.lives[role], self._step()
         node = life.node
         self.ticks += 1
@@ -230,7 +230,7 @@ class Monitor:
                 snapshot[role, name, i] = number
 
     def applied(self, line: Mapping[str, Any]) -> None:
-        """Check the input of a step of the plant: it is not older than one that was applied before."""
+        """Check the input that the plant applies at a step: it must not be older than an input applied before."""
         for link, ends in self._plant.items():
             values, last = tuple(line["u"][i] for i in ends.inputs), self._applied.get(link, BEFORE)
             if last == BEFORE and not any(values):
@@ -242,14 +242,14 @@ class Monitor:
             self._applied[link] = order
 
     def woken(self, role: str) -> None:
-        """Record that a process reads datagrams."""
+        """Record that a process wakes to read datagrams, and check that it wakes rarely enough."""
         life = self.lives[role]
         life.turn, life.wakes = 0, life.wakes + 1
         if life.wakes > AWAKE:
             self.fail(PACE, f"the {role} wakes more than {AWAKE} times in a step; expected a process that waits")
 
     def check(self, network: VirtualNetwork, plant: PlantServer, plant_port: VirtualPort, alive: Sequence[str]) -> None:
-        """Check what must hold at each step: every datagram is accounted for, and a node that is cut says so."""
+        """Check the invariants of a step: each datagram is counted, and a node that gets no packets reports this."""
         counted = network.counters
         added = counted["sent"] + counted["copied"] + counted["replayed"]
         ended = sum(counted[name] for name in ("lost", "unreachable", "discarded", "delivered"))
@@ -288,7 +288,7 @@ class Monitor:
                 self.fail(SILENCE, f"the link {link} of the {role} is cut for {silence:.0f} steps, but not reported")
 
     def heard(self, role: str, sender: str | None = None) -> None:
-        """Record that a datagram of a sender has arrived, or (without a sender) an event that excuses silence."""
+        """Record that a sender's datagram has arrived or, without a sender, an event that excuses missing datagrams."""
         if role in self.lives:
             life = self.lives[role]
             life.heard |= {
@@ -305,10 +305,15 @@ class Monitor:
 Copy: TypeAlias = tuple[Entry, Entry, int]  # two numbers, and the steps by which the second one is later
 
 
-def find_copies(snapshots: Mapping[int, Mapping[Entry, float]], first: int) -> list[Copy]:
-    """Return the numbers of different nodes that agree in all steps of a run without faults, and change."""
+def find_copies(
+    snapshots: Mapping[int, Mapping[Entry, float]], first: int, own: frozenset[str] = frozenset()
+) -> list[Copy]:
+    """Find pairs of varying signals in different nodes that are equal at all steps of a run without faults.
+
+    Signals in ``own`` count actions of one node, so they are not copies.
+    """
     steps = sorted(tick for tick in snapshots if tick >= first)[:-2]
-    names = list(snapshots[steps[0]])
+    names = [name for name in snapshots[steps[0]] if name[1] not in own]
     rows = {name: [snapshots[tick][name] for tick in steps] for name in names}
     return [
         (one, two, late)
@@ -321,7 +326,7 @@ def find_copies(snapshots: Mapping[int, Mapping[Entry, float]], first: int) -> l
 
 
 def differing(snapshots: Mapping[int, Mapping[Entry, float]], step: int, copies: Sequence[Copy]) -> str | None:
-    """Return which copies differ in a step, or None."""
+    """Return a text about the first copies of a signal that differ at a step; None if all copies agree."""
     for one, two, late in copies:
         a, b = snapshots.get(step - late, {}).get(one), snapshots.get(step, {}).get(two)
         if a is not None and b is not None and not abs(a - b) <= CLOSE * max(1.0, abs(a)):

@@ -1,4 +1,4 @@
-"""Servers of nodes and plants in one process, in virtual time: clocks, sockets and a network as a queue of events.
+"""Servers of nodes and plants in one process and in virtual time; clocks, sockets and network share an event queue.
 
 The servers are those that run over UDP. Here their clock is a function of the virtual time, and their socket puts each
 datagram into the queue of events. A run depends on its arguments alone, so that it can be repeated.
@@ -19,7 +19,7 @@ SOON = 1e-9  # seconds by which a process wakes later than it asks for, so that 
 
 
 class VirtualTime:
-    """A queue of events in the order of their times; events at one time happen in the order of their entry."""
+    """A queue of events in order of time; simultaneous events are processed in the order in which they were added."""
 
     def __init__(self) -> None:
         """Start at time 0 without events."""
@@ -27,12 +27,12 @@ class VirtualTime:
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
 
     def at(self, time: float, event: Callable[[], None]) -> None:
-        """Enter an event, which happens now if its time is past."""
+        """Add an event to the queue; an event whose time has passed is processed at the present time."""
         heapq.heappush(self._queue, (max(time, self.now), self._order, event))
         self._order += 1
 
     def run(self, until: float) -> None:
-        """Let all events up to a time happen."""
+        """Process all events up to a given time."""
         while self._queue and self._queue[0][0] <= until:
             self.now, _, event = heapq.heappop(self._queue)
             event()
@@ -40,7 +40,7 @@ class VirtualTime:
 
 
 class VirtualClock:
-    """The clock of a machine, which may be fast or slow, and may jump."""
+    """Clock of a machine, which may run fast or slow, and may jump."""
 
     def __init__(self, time: VirtualTime, rate: float = 1.0) -> None:
         """Start at the virtual time."""
@@ -52,23 +52,23 @@ class VirtualClock:
         return self._shown + (self._time.now - self._set) * self._rate
 
     def when(self, shown: float) -> float:
-        """Return the virtual time at which the clock shows a given time."""
+        """Return the virtual time at which this clock shows the given time."""
         return self._time.now + max(0.0, shown - self()) / self._rate
 
     def jump(self, by: float) -> None:
-        """Set the clock forward, or back if the number of seconds is negative."""
+        """Set the clock forward by the given number of seconds; a negative number sets it back."""
         self._shown, self._set = self() + by, self._time.now
 
     def turn(self, rate: float) -> None:
-        """Change the speed of the clock."""
+        """Change how fast the clock runs."""
         self._shown, self._set, self._rate = self(), self._time.now, rate
 
 
 class VirtualNetwork:
-    """A network that delivers each datagram after a latency, or as ``carry`` says.
+    """Network that delivers each datagram after a latency, or as the function ``carry`` decides.
 
-    The counter ``sent`` and what was added (``copied``, ``replayed``) equal ``lost``, ``unreachable`` (no process
-    runs at the address), ``discarded`` (a process ended before it read them), ``delivered``, and ``flying``.
+    The counters ``sent``, ``copied`` and ``replayed`` have the same sum as ``lost``, ``unreachable`` (no process runs
+    at the address), ``discarded`` (a process ended before it read them), ``delivered``, and ``flying``.
     """
 
     def __init__(self, time: VirtualTime, carry: Callable[[Address, Address, bytes], Copies]) -> None:
@@ -79,7 +79,7 @@ class VirtualNetwork:
         self.flying = 0  # datagrams that have not arrived yet
 
     def send(self, datagram: bytes, sender: Address, to: Address) -> None:
-        """Carry a datagram to its receiver."""
+        """Deliver a datagram to its receiver, under the faults of the network."""
         self.counters["sent"] += 1
         copies = self._carry(sender, to, datagram)
         self.counters["lost"] += not copies
@@ -105,7 +105,7 @@ class VirtualNetwork:
 
 
 class VirtualPort:
-    """A socket on a virtual network, with the interface of ``taciturn_udp.endpoint.Endpoint``."""
+    """Socket of a virtual network, with the interface of ``taciturn_udp.endpoint.Endpoint``."""
 
     def __init__(self, network: VirtualNetwork, address: Address) -> None:
         """Listen, without datagrams."""
@@ -118,21 +118,21 @@ class VirtualPort:
 
     @property
     def time(self) -> VirtualTime:
-        """The virtual time of its network."""
+        """The virtual time of the network to which the socket belongs."""
         return self._network.time
 
     @property
     def address(self) -> Address:
-        """The address that it listens on."""
+        """The address at which the socket receives."""
         return self._address
 
     @property
     def counted(self) -> dict[str, int | None]:
-        """The counters of datagrams sent and received."""
+        """Numbers of datagrams that the socket has sent and received."""
         return {"sent": self.sent, "unsent": 0, "received": self.received, "dropped_by_kernel": 0}
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Give a datagram to the network."""
+        """Send a datagram over the virtual network."""
         self.sent += 1
         self._network.send(datagram, self._address, to)
 
@@ -143,14 +143,14 @@ class VirtualPort:
             self.arrived()
 
     def receive(self, until: float | None = None) -> list[bytes]:
-        """Return the datagrams that have arrived; the caller waits, as the time is virtual."""
+        """Return the datagrams that have arrived; in virtual time, this method never waits."""
         found, self._queue = self._queue, []
         self.senders = [sender for _, sender in found]
         self.received += len(found)
         return [datagram for datagram, _ in found]
 
     def close(self) -> None:
-        """Stop listening; datagrams that were not read are discarded."""
+        """Close the socket, and discard the datagrams that were not read."""
         self._network.counters["discarded"] += len(self._queue)
         self._network.counters["delivered"] -= len(self._queue)
         self._queue = []
@@ -158,7 +158,7 @@ class VirtualPort:
 
 
 class VirtualProcess:
-    """A process on a machine: it runs a server, may be suspended, and may be killed."""
+    """A process on a virtual machine; it runs a server, and can be suspended or killed."""
 
     def __init__(
         self, port: VirtualPort, clock: VirtualClock, turns: Turns, before: Callable[[], None] | None = None
@@ -170,7 +170,7 @@ class VirtualProcess:
         self._sleep(lambda: next(turns))
 
     def pause(self) -> None:
-        """Suspend the process; the datagrams that arrive wait in its socket."""
+        """Suspend the process; datagrams that arrive meanwhile wait in its socket."""
         self.paused = True
 
     def resume(self) -> None:

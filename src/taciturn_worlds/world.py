@@ -1,4 +1,4 @@
-"""Worlds of faults: the nodes of a problem and its plant in one process, with faults that a seed chooses.
+"""Worlds of faults: a problem's nodes and plant run in one process, under faults that a seed draws.
 
 The servers of the nodes and of the plant are those that run over UDP, in real time; their clocks and sockets are
 virtual. A ``KeyRing`` has the secrets of each link, and the keys that every process has in its file. A world breaks if
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, TypeAlias
@@ -17,13 +17,13 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.extend import count
+from taciturn.extend import count, number_of
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import is_acknowledged, links_to, outputs_at, peers_of, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result, plain_fields, seconds
+from taciturn.model.result import VERDICT, Field, Result, plain_fields, seconds
 from taciturn.model.steps import Send
 from taciturn.model.wire import OFFSETS, PLANT, PROOFS
 from taciturn.nodes.clock import AGREED, JUMPED
@@ -85,7 +85,7 @@ class _FileKeys(RenewedKeys):
 
 
 class KeyRing:
-    """The keys of all processes of a world, its nonces, and what an attacker knows."""
+    """Keys and nonces of all processes of a test, and the former keys that an attacker knows."""
 
     def __init__(self, seed: int, links: Sequence[str], uses: Mapping[str, Sequence[str]]) -> None:
         """Draw a key for each link."""
@@ -97,7 +97,7 @@ class KeyRing:
         }
 
     def keys(self, name: str, clock: Callable[[], float]) -> Keys:
-        """Return the keys of a process, which it reads again after a change."""
+        """Return the keys of a process; after a change, the process reads them again."""
         return _FileKeys(self.files[name], clock)
 
     def nonce(self) -> int:
@@ -109,7 +109,7 @@ class KeyRing:
         return int(self._draws.integers(1 << 31))
 
     def change(self, link: str) -> list[Callable[[], None]]:
-        """Draw a new key of a link; return what adds it to the files, uses it, removes the old one, and reveals it."""
+        """Draw a new key for a link; return the actions that add it, use it, and remove and disclose the old key."""
         old, new = self._secrets[link], self._draws.bytes(MOST_KEY)
         self._secrets[link] = new
 
@@ -129,7 +129,7 @@ class KeyRing:
         return Keys({link: (key,) for link, key in self._secrets.items()})
 
     def wrong(self, link: str, former: bool) -> Keys:
-        """Return a key that no process accepts on a link: a former one, that of another link, or an unknown one."""
+        """Return a key that no process accepts on a link: a former key, another link's key, or an unknown key."""
         other = self._former.get(link, self._secrets[next(name for name in self._secrets if name != link)])
         return Keys.same(other if former else self._draws.bytes(MOST_KEY))
 
@@ -147,17 +147,17 @@ MakeNode: TypeAlias = Callable[..., Node]
 
 
 def promised_steps(heartbeat: int, keyed: bool, hops: int) -> int:
-    """Return the number of steps after the last fault by which every node must use packets of its present step again.
+    """Return how many steps after the last fault every node must use current packets again.
 
-    A clock that has jumped is corrected after ``AGREED`` packets or marks, of which one arrives in ``heartbeat`` steps.
-    By then the node may be ``JUMPED`` steps ahead, and waits. With keys, the first packet may only cause a challenge.
-    Nodes that keep the time of this node have followed it, and are corrected after it.
+    A node corrects a clock that has jumped after ``AGREED`` packets or marks; one of these arrives in every
+    ``heartbeat`` steps. Then the node may be up to ``JUMPED`` steps ahead, and waits. With keys, the first packet may
+    only cause a challenge. Nodes that take their time from this node are corrected after it.
     """
     return hops * ((AGREED + 1 + keyed) * heartbeat + int(JUMPED))
 
 
 def hops(policy: Policy) -> int:
-    """Return the largest number of links over which a process keeps the time of the plant."""
+    """Return the largest number of links over which the plant's time reaches a node."""
     found: dict[str, int] = {}
     for role in roles(policy):  # in the order of a step
         heard = [found[sender_of(policy, link)] for link in links_to(policy, role)]
@@ -166,7 +166,7 @@ def hops(policy: Policy) -> int:
 
 
 def altered(packet: Packet, ahead: int, epoch: int) -> Packet:
-    """Return a packet of another step and epoch, with numbers that no process has sent."""
+    """Return a forged packet, whose step, epoch and values differ from those of the given packet."""
     values = tuple(value + SHIFT for value in packet.values)
     if packet.kind == "challenge":
         return packet._replace(nonce=packet.nonce ^ 1)
@@ -220,7 +220,7 @@ class _CachedWire(Wire):
 
 
 class World:
-    """The processes of a loop in virtual time, and their faults."""
+    """The processes of a loop in virtual time, and the faults that act on them."""
 
     def __init__(
         self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode], keyed: bool
@@ -280,18 +280,18 @@ class World:
         VirtualProcess(self.plant_port, self.clocks[PLANT], self.plant.turns(1 << 40, lambda: False))
 
     def step(self) -> float:
-        """Return the present step of the plant, with its fraction."""
+        """Return the plant's time in steps, including the elapsed fraction of the present step."""
         return self.time.now / TICK
 
     def counters(self) -> dict[str, dict[str, int]]:
-        """Return the counters of the last process of each role, of the plant and of the network."""
+        """Return the counters of each role's latest process, of the plant, and of the network."""
         found = {role: dict(life.counters()) for role, life in self.monitor.lives.items()}
         plant = {"inputs": self.plant.taken, **self.plant.refused, **self.plant.reception.counters}
         plant |= {"starts again": self.simulated.trips} if self.simulated.trips else {}
         return {**found, PLANT: plant, "network": self._counted()}
 
     def run(self, copies: Sequence[Copy]) -> BrokenError | None:
-        """Run until the nodes have recovered, and return what does not hold, or None."""
+        """Run the loop until the nodes have recovered; return the violated invariant, or None."""
         ready = int(self.end) + 1 + promised_steps(HEARTBEAT, self.keyed, hops(self.policy))
         remembers = max(life.node.remembers for life in self.monitor.lives.values())
         settled: int | None = None
@@ -310,7 +310,9 @@ class World:
                     self.monitor.fail(RECOVERY, "the plant has received no input for its step, after all faults")
                 held = self.plant.held
                 if trouble and settled is not None and step > settled + remembers + 2:
-                    self.monitor.fail(RECOVERY, f"{trouble}, {step - int(self.end)} steps after the last fault")
+                    self.monitor.fail(
+                        RECOVERY, f"{trouble}, {number_of(step - int(self.end), 'step')} after the last fault"
+                    )
                 step += 1
             self._check_used(ready, step - 3)
         except BrokenError as error:
@@ -321,7 +323,7 @@ class World:
         return None
 
     def run_for(self, steps: int) -> BrokenError | None:
-        """Run for some steps, and return what does not hold, or None."""
+        """Run the loop for some steps; return the violated invariant, or None."""
         try:
             for step in range(steps):
                 self._go_to(step)
@@ -493,7 +495,7 @@ class World:
                     self._at(self.step() + part, lambda: self.monitor.heard(fault.path[1], fault.path[0]))
 
     def _forge(self, fault: Forgery, step: int) -> None:
-        """Send what was sent in a step with other numbers and a wrong key."""
+        """Send the packets of a step again, with other numbers and a wrong key."""
         wrong = {link: self.wire.with_keys(self.ring.wrong(link, fault.former)) for link in self._uses[fault.path]}
         for sent, datagram in self._history[fault.path]:
             packet = self.wires[fault.path[0]].decode(datagram) if int(sent) == step else ""
@@ -508,11 +510,17 @@ class World:
         return {name: number for name, number in self.network.counters.items() if number}
 
 
-RECOVERED = "{} steps after the last fault; at most {of.promised} are promised"
+def _verdict(found: WorldRun) -> Iterator[str]:
+    """Yield whether all invariants hold, and how fast the nodes have recovered."""
+    told = "every invariant holds" if found.broken is None else f"an invariant is broken: {found.broken}"
+    yield f"world {found.seed}, {number_of(found.steps, 'step')} with {number_of(len(found.faults), 'fault')}: {told}"
+    if found.recovery is not None:
+        late = number_of(found.recovery, "step")
+        yield f"recovered {late} after the last fault; at most {found.promised} are promised"
 
 
 def _faults(faults: Sequence[Fault]) -> list[dict[str, Any]]:
-    return [{"kind": type(fault).__name__, **asdict(fault)} for fault in faults]
+    return [{"kind": type(fault).__name__, **asdict(fault), "text": fault.text()} for fault in faults]
 
 
 def _counters(found: WorldRun) -> list[tuple[str, str]]:
@@ -522,7 +530,7 @@ def _counters(found: WorldRun) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WorldRun(Result):
-    """Result of a world of faults.
+    """Result of a test under faults: the faults, how fast the nodes recover, and the violated invariant, if any.
 
     Args:
         seed: seed of the world.
@@ -541,17 +549,18 @@ class WorldRun(Result):
     """
 
     FIELDS: ClassVar[tuple[Field[WorldRun], ...]] = (
-        Field("seed", say="world", text="{}, {of.steps} steps, {of.ticks} steps of nodes in {of.seconds:.2f} s"),
+        VERDICT,
+        Field("seed"),
         Field("keyed", say="keys", text=lambda found: "one for each link" if found.keyed else "none", after="devices"),
-        Field("broken", say="broken", none="no invariant", after="recovery"),
-        Field("recovery", say="recovery", text=RECOVERED, after="counters"),
+        Field("broken"),
+        Field("recovery"),
         *plain_fields("promised", "steps", "ticks"),
         Field("faults", json=_faults, say="fault", text=lambda found: [fault.text() for fault in found.faults]),
         Field("devices", say="nodes in C", text=lambda found: ", ".join(found.devices) or "none", after="seed"),
         Field("counters", say="", text=_counters),
         Field("invariants", lambda found: {name: name != found.invariant for name in INVARIANTS}),
         Field("node_ticks", "ticks"),
-        Field("seconds", json=seconds),
+        Field("seconds", json=seconds, say="time", text="{:.3g} s, {of.ticks} steps of nodes", part="method"),
         Field("notes", say="note"),
     )
 
@@ -569,6 +578,11 @@ class WorldRun(Result):
     notes: tuple[str, ...] = ()
     invariant: str | None = None
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Sentences that say whether all invariants hold, and how fast the nodes recover."""
+        return tuple(_verdict(self))
+
 
 def run_world(
     problem: Problem,
@@ -577,7 +591,7 @@ def run_world(
     devices: Mapping[str, MakeNode] | None = None,
     keyed: bool | None = None,
 ) -> WorldRun:
-    """Run the nodes of a problem in a world of faults, and check the invariants at each step.
+    """Run the nodes of a problem under random faults, and check the invariants at each step.
 
     Args:
         problem: the problem.
@@ -607,7 +621,7 @@ def run_world(
 
 
 def run_world_with_devices(problem: Problem, seed: int) -> WorldRun:
-    """Run a world in which the seed also chooses the nodes that run in C; without a C compiler, a note says so."""
+    """Test a loop under faults; the seed also draws which nodes run in C. Without a C compiler, a note says so."""
     try:
         devices = compile_devices(prepare(problem)[0])
     except NoCompilerError as error:
@@ -617,7 +631,7 @@ def run_world_with_devices(problem: Problem, seed: int) -> WorldRun:
 
 @lru_cache(maxsize=8)
 def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
-    """Return the loop of a problem, and the copies of numbers that its nodes hold, from a run without faults."""
+    """Return the closed loop of a problem, and the signals that are equal in several nodes in a run without faults."""
     loop = problem.close(problem.design())
     if loop.horizon is not None:
         raise ProblemError(
@@ -628,4 +642,6 @@ def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
     broken = quiet.run_for(200)
     if broken is not None:
         raise ProblemError(f"without any fault, {broken}; expected nodes that run over this network")
-    return loop, find_copies(quiet.monitor.snapshots, 20)
+    silence = loop.policy.theory.silence.values()
+    own = frozenset(name for one in silence for name in (one.total, one.lasted))
+    return loop, find_copies(quiet.monitor.snapshots, 20, own)

@@ -75,7 +75,7 @@ def test_noise_in_jumps_has_no_bound() -> None:
         (0.3, 1.0, "confidence is 1; expected 0 < confidence < 1"),
         (0.3, 1.5, "confidence is 1.5"),
         (0.3, 0.0, "confidence is 0"),
-        (1.2, 0.9, "rate is 1.2; expected at most 1"),
+        (1.2, 0.9, "rate is 1.2; expected a rate of at most 1"),
         (0.0, 0.9, "rate is 0"),
         (float("nan"), 0.9, "rate is nan"),
     ],

@@ -47,7 +47,9 @@ def test_a_loop_whose_mean_square_grows_is_refused() -> None:
     plant, cost = Plant([[1.05]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.01]])
     policy = design.all_time(plant, cost)
     assert by_hand(1.05, 1.0, 0.01, 0.34)[0] > 1 > 0.34 * 1.05**2
-    with pytest.raises(UnstableError, match=r"with these losses its mean square grows by a factor of 1.05\d* per step"):
+    with pytest.raises(
+        UnstableError, match=r"with these losses, the mean square of its state grows by a factor of 1.05\d* per step"
+    ):
         average(close(plant, policy, Network("udp", actuator_loss=0.34), cost), steps=200_000)
     event = close(plant, design.excess(plant, cost, theta=0.1), Network("udp", actuator_loss=0.34), cost)
     assert (

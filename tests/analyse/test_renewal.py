@@ -149,7 +149,7 @@ def test_only_loops_that_one_error_decides_are_chains() -> None:
         chain_of(close(other, policy))
     with pytest.raises(NoQuadratureError, match="the network is not the one of the design"):
         chain_of(close(PLANT, policy, Network("tcp", sensor_loss=0.1)))
-    with pytest.raises(NoQuadratureError, match="lqg has no closed form for this problem, and its trigger"):
+    with pytest.raises(NoQuadratureError, match="the cost of lqg has no closed form in this problem, and its trigger"):
         chain_of(close(PLANT, design.lqg(PLANT, COST, theta=0.1, period=0.5)))
     with pytest.raises(NoQuadratureError, match="the threshold is 0; expected a threshold above 0"):
         chain_of(close(PLANT, design.consistent(PLANT, COST, period=0.5, delta=0.0)))

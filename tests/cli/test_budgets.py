@@ -23,12 +23,15 @@ def with_policy(folder: Path, name: str, policy: str) -> str:
 
 
 def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
-    """A line for the parameter with its error, then what evaluate prints."""
+    """The parameter that meets the budget, then what evaluate prints, then the parameter with its error."""
     answer = run("tune", "two-mass-lqg", "--rate", "0.3", "--standard-error", "1e-3")
     assert answer.code == 0
     lines = answer.out.splitlines()
-    assert lines[0].startswith("theta          1.1")
-    assert " ± " in lines[0]
+    assert lines[0].startswith("theta = 1.1")
+    assert ": rate at most 0.3 per step, met with " in lines[0]
+    assert " of the packets, " in lines[1]
+    (error,) = [line for line in lines if line.startswith("theta          1.1")]
+    assert " ± " in error
     assert any(line.startswith("this policy") and (" 0.3" in line or " 0.29" in line) for line in lines)
 
 
@@ -55,10 +58,11 @@ def test_python_prints_what_the_commands_print(run: Run, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("policy", ['kind = "periodic"\nevery = 1', 'kind = "all-time"'])
 def test_a_policy_that_sends_every_sample_is_not_compared_with_itself(run: Run, tmp_path: Path, policy: str) -> None:
-    """One row, without a percentage."""
+    """One row, and no percentage but that of the packets."""
     text = run("evaluate", with_policy(tmp_path, "clock", policy)).out
-    assert text.count("0.733478") == 1
-    assert "%" not in text
+    assert text.startswith("100 % of the packets: this policy sends every sample, at a cost of 0.733478 per")
+    assert text.count("0.733478") == 2
+    assert text.count("%") == 1
     assert "periodic       the same as this policy, which sends every sample" in text
 
 
@@ -79,9 +83,9 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
     [
         (["--rate", "0.05"], "the rate ranges from 0.20"),
         (["--cost", "0.1"], "expected at least 0.733"),
-        ([], "expected one of them"),
-        (["--rate", "0.3", "--cost", "1"], "expected one of them"),
-        (["--violation", "1e-3"], "violation is given for a problem without limits of its states; expected limits"),
+        ([], "expected exactly one budget"),
+        (["--rate", "0.3", "--cost", "1"], "expected exactly one budget"),
+        (["--violation", "1e-3"], "violation is given for a problem without state limits; expected state limits"),
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
         (["--rate", "x"], "--rate is 'x'; expected a number, or"),
@@ -125,9 +129,14 @@ def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
     picture = tmp_path / "ranking.svg"
     answer = run("compare", *files, "--rate", "0.3", "--standard-error", "2e-3", "--plot", str(picture))
     assert answer.code == 0
-    names = [line.split()[0] for line in answer.out.splitlines()[1:4]]
+    verdict, table, _ = answer.out.split("\n\n", 2)
+    names = [line.split()[0] for line in table.splitlines() if line[0] != " "]
     assert names == ["drawn", "two-mass-lqg", "clock"]
-    assert "clock: the first value in 35.0 % of the time, else the second" in answer.out
+    told = " ".join(verdict.split())
+    assert told.startswith("drawn costs least at 0.3 sends per step: ")
+    assert told.count("than every sample") == 3
+    assert told.index("two-mass-lqg: ") < told.index("; clock: ")
+    assert "clock: the first value in 35.0 % of the time, else the second" in answer.unwrapped
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
     document = json.loads(run("compare", *files, "--rate", "0.3", "--standard-error", "2e-3", "--json").out)
     assert [place["name"] for place in document["ranking"]] == names
@@ -137,8 +146,8 @@ def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        (["two-mass-lqg"], "the number of policies is 1"),
-        (["two-mass-lqg", "two-mass-lqg"], "two-mass-lqg (1) and two-mass-lqg (2) are the same policy"),
+        (["two-mass-lqg"], "the number of policies is 1; expected at least two policies to compare, in problems"),
+        (["two-mass-lqg", "two-mass-lqg"], "the problems two-mass-lqg (1) and two-mass-lqg (2) have the same policy"),
         (["two-mass-lqg", "rover"], "two-mass-lqg and rover differ in [plant]"),
         (["two-mass-lqg", "nowhere"], "there is no file 'nowhere'"),
     ],
@@ -169,7 +178,8 @@ def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path
     assert document["consistency"] == "verified"
     told = run("tune", str(path), "--rate", "1", "--least-period", "0.1")
     lines = told.out.splitlines()
-    assert lines[0].split() == ["period", "delta", "cost", "consistent"]
+    assert lines[0].startswith(f"period = {document['period']:g} s, delta = ")
+    assert ["period", "delta", "cost", "consistent"] in [line.split() for line in lines]
     assert f"period         {document['period']:g}" in lines
 
 

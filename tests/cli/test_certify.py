@@ -12,14 +12,18 @@ from taciturn.study.record import origin
 
 
 def test_certify_prints_what_is_proved_beside_sending_always(run: Run, write: Write) -> None:
-    """One line for each number, and the scalar plant vanishes."""
+    """One line for each number after the verdict, and the scalar plant vanishes."""
     answer = run("certify", write())
     assert answer.code == 0
-    lines = answer.out.splitlines()
-    assert lines[0] == "policy         lqg, 2 states, actions silent, send"
-    assert [word for line in lines[1:3] for word in line.split()] == ["every", "proved", "sample"]
-    assert [line.split()[0] for line in lines[3:]] == 2 * ["decay", "gain", "cost", "E|x|²"]
-    assert lines[7].endswith("factor per step without noise, to 0")
+    verdict, table, details = answer.out.split("\n\n")
+    assert verdict.startswith("proven: at most ")
+    assert " more cost than every sample; without noise, decay by " in " ".join(verdict.split())
+    heading, *rows = table.splitlines()
+    assert heading.split() == ["proved", "every", "sample"]
+    assert [line.split()[0] for line in rows] == ["decay", "gain", "cost", "E|x|²"]
+    assert [line.split()[0] for line in details.splitlines()] == ["decay", "gain", "cost", "E|x|²", "policy"]
+    assert details.splitlines()[0].endswith("factor per step without noise, to 0")
+    assert details.splitlines()[-1] == "policy         lqg, 2 states, actions silent, send"
 
 
 def test_certify_prints_one_document(run: Run, write: Write) -> None:

@@ -33,12 +33,22 @@ def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
     """As a process, to a pipe: no progress."""
     done = execute("evaluate", "two-mass-lqg", "--steps", "100000")
     assert (done.returncode, done.stderr) == (0, "")
-    first, table, rest = done.stdout.split("\n\n")
-    heads = [line.split()[0] for part in (first, rest) for line in part.splitlines() if line[0] != " "]
-    assert heads == ["policy", "method", "periodic", "proof", "verdict"]
-    assert "simulation, completed squares: " in first
+    verdict, table, rest = done.stdout.split("\n\n")
+    assert " % of the packets, " in verdict
+    assert verdict.endswith("proven")
+    heads = [line.split()[0] for line in rest.splitlines() if line[0] != " "]
+    assert heads == ["policy", "periodic", "proof"]
     names = [line[:19].strip() for line in table.splitlines() if line[:19].strip()]
     assert names == ["this policy", "periodic, same rate", "every sample", "guarantee"]
+
+
+def test_methods_and_times_are_printed_on_request(run: Run) -> None:
+    """After what is printed without the option."""
+    command = ("evaluate", "two-mass-lqg", "--steps", "100000")
+    plain, more = run(*command).out, run(*command, "-v").out
+    assert more.startswith(plain)
+    assert [line.split()[0] for line in more[len(plain) :].splitlines()] == ["method", "seed", "time"]
+    assert "simulation, completed squares: " in more
 
 
 def test_evaluate_json_is_one_document_with_the_promised_keys(run: Run) -> None:
@@ -149,44 +159,57 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
     for method in ("exact", "auto"):
         document = json.loads(run("evaluate", path, "--json", "--method", method).out)
         assert (document["cost"]["method"], document["cost"]["standard_error"], document["steps"]) == ("exact", 0.0, 0)
-    assert run("evaluate", path, "--steps", "0").sentence == "--steps is 0; expected a whole number, at least 1024"
+    assert run("evaluate", path, "--steps", "0").sentence == "--steps is 0; expected a whole number of at least 1024"
     assert run("evaluate", path, "--standard-error", "nan").sentence.startswith("--standard-error is nan; expected")
 
 
 @pytest.mark.parametrize(
     ("over", "sentence"),
     [
-        ("theta", "--over 'theta' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        ("theta=", "--over 'theta=' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        ("=1", "--over '=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        ("theta=1,,2", "--over 'theta=1,,2' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        (".=1", "--over '.=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        ("plant..dt=1", "--over 'plant..dt=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
-        ("thet=1", "the changed problem: policy.thet is not a parameter of lqg; expected one of theta, period,"),
+        ("theta", "the option --over 'theta' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        ("theta=", "the option --over 'theta=' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        ("=1", "the option --over '=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        ("theta=1,,2", "the option --over 'theta=1,,2' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        (".=1", "the option --over '.=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        ("plant..dt=1", "the option --over 'plant..dt=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
+        (
+            "thet=1",
+            "the changed problem: policy.thet is not a parameter of the policy kind lqg; expected one of theta,",
+        ),
         ("theta=0.1,-1", "the changed problem: policy.theta is -1; expected 0 ≤ theta"),
         ("theta=nan", "the changed problem: policy.theta is nan; expected a finite number"),
         ("theta=true", "the changed problem: policy.theta is True; expected a number"),
         ("theta=0.1,a", "the changed problem: policy.theta is 'a'; expected a number"),
         ("trigger=joint,sep", "the changed problem: policy.trigger is 'sep'; expected 'joint' or 'separate'"),
-        ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of absolute, all-time"),
+        (
+            "kind=periodic",
+            "in the changed problem, policy.kind is 'periodic', which has no parameter theta; expected ",
+        ),
+        (
+            "kind=nonsense",
+            "the changed problem: policy.kind is 'nonsense'; expected one of the policy kinds absolute, all",
+        ),
         ("plant.dt=x", "the changed problem: plant.dt is 'x'; expected a number"),
         ("plant.dt=0", "the changed problem: dt is 0; expected 0 < dt"),
         ("plant.foo=1", "the changed problem: plant.foo is not a known key; expected one of A, B, C, D, W, V, E, dt,"),
         ("foo.bar=1", "the changed problem: foo is not a known key; expected one of plant, cost, network,"),
-        ("plant.dt.x=1", "plant.dt.x is not a key: dt is 1.0; expected a key such as plant.dt"),
-        ("plant.A.0=1", "plant.A.0 is not a key: A is [[1.2]]; expected a key such as plant.dt"),
-        ("cost.R=1,2", "the changed problem: cost.R is 1; expected a list"),
+        ("plant.dt.x=1", "plant.dt.x is not a key of a problem file: dt is 1.0; expected a key such as plant.dt"),
+        ("plant.A.0=1", "plant.A.0 is not a key of a problem file: A is [[1.2]]; expected a key such as plant.dt"),
+        (
+            "cost.R=[1],[2]",
+            "the changed problem: R has shape (1,); expected the shape (any, any) = (inputs, inputs), such as [[1]]",
+        ),
         (
             "cost.discount=0.9",
-            "the changed problem: cost.discount is 0.9, which lqg does not use; expected an average cost: remove",
+            "the changed problem: cost.discount is 0.9, which the policy kind lqg does not use; expected an average",
         ),
         (
             "network.actuator_loss=0.1",
-            "the changed problem: network.actuator_loss is given, which lqg does not use; expected ideal links",
+            "the changed problem: network.actuator_loss is given, which the policy kind lqg does not use",
         ),
         (
             "network.delay=1",
-            "the changed problem: network.delay is given, which lqg does not use; expected ideal links: remove it",
+            "the changed problem: network.delay is given, which the policy kind lqg does not use; expected ideal",
         ),
     ],
 )
@@ -200,7 +223,7 @@ def test_a_wrong_value_to_trade_off_over_is_refused_before_anything_runs(
 def test_a_name_given_twice_is_refused(run: Run, write: Write) -> None:
     """Under either of its names, so that no list is lost in silence."""
     told = run("tradeoff", write(), "--over", "theta=1", "--over", "policy.theta=2").sentence
-    assert told.startswith("--over policy.theta is given twice; expected all its values in one list")
+    assert told.startswith("the option --over policy.theta is given twice; expected all its values in one list")
 
 
 def test_words_and_truths_are_values(run: Run) -> None:

@@ -29,6 +29,7 @@ def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 COMMANDS = {
     "evaluate": [],
+    "explore": ["--no-browser"],
     "show": [],
     "simulate": [],
     "certify": [],

@@ -16,6 +16,7 @@ from cli.conftest import Run
 import taciturn
 from taciturn.cli import frame
 from taciturn.cli.frame import EXAMPLE, GROUPS, app
+from taciturn.cli.usage import parser_words
 from taciturn.design.catalogue import CATALOGUE
 
 COMMANDS = sorted(name for names in GROUPS.values() for name in names)
@@ -78,9 +79,19 @@ def test_each_argument_of_a_function_is_an_option_of_its_command(name: str) -> N
 def test_every_command_that_designs_a_policy_changes_its_keys() -> None:
     """Those of twins take the price and theta as options of their own."""
     commands = typer.main.get_group(app).commands
-    without = {"new", "bench", "reproduce", "relay", "twin", "camera"}
+    without = {"new", "bench", "reproduce", "relay", "twin", "camera", "help", "version"}
     for name, command in commands.items():
         assert any("--set" in option.opts for option in command.params) == (name not in without), name
+
+
+def test_commands_that_print_results_print_methods_on_request() -> None:
+    """Those with a result that has a text; the others ask, serve, or report what their processes counted."""
+    commands = typer.main.get_group(app).commands
+    asked = {name for name, one in commands.items() if any("-v" in option.opts for option in one.params)}
+    assert asked == {
+        *("show", "evaluate", "simulate", "tradeoff", "compare", "tune", "sweep", "channel", "certify", "network"),
+        *("bench", "twin", "export", "reproduce"),
+    }
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -97,6 +108,35 @@ def test_the_example_of_a_command_is_one(run: Run, monkeypatch: pytest.MonkeyPat
     shown = run(name, "--help").out
     assert max(map(len, shown.splitlines())) <= 80
     assert f"\n    {command.epilog.removeprefix(EXAMPLE)}" in shown, "on one line, so that it can be pasted"
+
+
+def test_help_and_version_are_also_commands_and_short_options(run: Run) -> None:
+    """With the same text; ``help`` without a command is that of ``taciturn``."""
+    assert run("help").out == run("--help").out == run("-h").out == run().out
+    assert run("help", "evaluate").out == run("evaluate", "-h").out == run("evaluate", "--help").out
+    assert run("version").out == run("--version").out == run("-V").out == f"{taciturn.__version__}\n"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_whole_numbers_may_have_an_exponent(name: str) -> None:
+    """For every option that is a whole number, and only there: a text remains as it is typed."""
+    command = typer.main.get_group(app).commands[name]
+    for one in command.params:
+        if one.opts[0].startswith("--") and not getattr(one, "is_flag", False):
+            option = one.opts[0]
+            whole = one.type_descriptor.annotation is int  # pyright: ignore[reportAttributeAccessIssue]
+            for word, read in (("1e6", "1000000"), ("1_000_000", "1000000"), ("1.5", "1.5"), ("-2e0", "-2")):
+                assert parser_words(command, [option, word]) == [option, read if whole else word]
+                assert parser_words(command, [f"{option}={word}"]) == [f"{option}={read if whole else word}"]
+
+
+def test_options_by_their_earlier_names_are_read(run: Run) -> None:
+    """But not the values of options, nor the words after --."""
+    path = run("simulate", "two-mass-lqg", "--ticks", "3", "--json")
+    assert path.out == run("simulate", "two-mass-lqg", "--steps", "3", "--json").out
+    command = typer.main.get_group(app).commands["simulate"]
+    kept = ["--plot", "--ticks", "--set", "--ticks=1e2", "--", "--ticks", "1e2"]
+    assert parser_words(command, kept) == kept
 
 
 def test_pages_that_help_names_are_there() -> None:

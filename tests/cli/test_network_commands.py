@@ -27,7 +27,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
     [
         (
             ["node", "pilot", "two-mass"],
-            "the node is 'pilot', which is not a role; expected one of controller, actuator",
+            "the node is 'pilot', which is not a role; expected one of the nodes controller, actuator",
         ),
         (["node", "sensor", "two-mass-lqg"], "at the site of the controller in lqg"),
         (["node", "controller", "two-mass"], "--plant is missing, but node controller exchanges packets"),
@@ -68,12 +68,15 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         ),
         (["node", "actuator", "two-mass", "--heartbeat", "3"], "--heartbeat is given without --real-time"),
         (["node", "actuator", "two-mass", "--wait", "3"], "--wait is 3"),
-        (["node", "actuator", "two-mass", "--ticks", "0"], "--ticks is 0; expected a whole number, at least 1"),
+        (["node", "actuator", "two-mass", "--steps", "0"], "--steps is 0; expected a whole number of at least 1"),
         (["node", "actuator", "two-mass", "--tick", "0.1"], "--tick is given without --real-time"),
         (["node", "actuator", "two-mass", "--state", "s", "--loops", "2"], "--state is given with --loops 2"),
         (["node", "actuator", "two-mass", "--key", "no-such-file"], "the key file no-such-file cannot be read"),
         (["network", "two-mass", "--tick", "0.1"], "--tick is given without --real-time"),
-        (["network", "wiener-double-integrator", "--ticks", "0"], "--ticks is 0; expected a whole number, at least 1"),
+        (
+            ["network", "wiener-double-integrator", "--steps", "0"],
+            "--steps is 0; expected a whole number of at least 1",
+        ),
         (["node", "controller", "two-mass", "--loops", "70000"], "--loops is 70000"),
         (["plant", "two-mass", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
         (["relay", "--peer", ":9", "--loss", "1.5"], "loss is 1.5; expected 0 ≤"),
@@ -82,7 +85,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["network", "two-mass", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, such as 0.2"),
         (
             ["network", "two-mass-lqg", "--loss", "sensor=0.2"],
-            "--loss names the link 'sensor'; expected a link of lqg: actuator",
+            "--loss names the link 'sensor'; expected one of the links of the policy lqg: actuator",
         ),
         (["network", "two-mass-lqg", "--loss", "0.2", "--loss", "0.3"], "--loss is given twice for all links"),
         (["network", "two-mass-lqg", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
@@ -94,7 +97,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["network", "lossy-double-integrator", "--world", "1"], "is for a horizon of 100 steps"),
         (
             ["relay", "--peer", ":9", "--burst", "0.1"],
-            "--burst is '0.1'; expected chain:drops,moves or gilbert-elliott:to_bad,to_good,loss_good,loss_bad, with a",
+            "--burst is '0.1'; expected a text of the form chain:drops,moves or gilbert-elliott:to_bad,to_good",
         ),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "--loss and --burst are both given"),
     ],
@@ -116,10 +119,10 @@ def test_keys_that_are_none_are_refused(run: Run, tmp_path: Path, monkeypatch: p
     key = tmp_path / "key"
     key.write_text("abcd")
     key.chmod(0o600)
-    assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass-lqg", "--key", str(key)).sentence
+    assert "has 2 bytes; expected 16 to 32" in run("network", "two-mass-lqg", "--key", str(key)).sentence
     monkeypatch.setenv("TACITURN_KEY", "secret")
     assert (
-        "TACITURN_KEY contains other characters than hexadecimal digits; expected 32 to 64"
+        "TACITURN_KEY contains characters that are not hexadecimal digits; expected 32 to 64"
         in run("network", "two-mass-lqg").sentence
     )
 
@@ -148,7 +151,7 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     assert document["datagrams"]["sensor"]["sent"] == document["ticks"] == 100
     assert 0 < document["datagrams"]["sensor"]["lost"] < 100
     text = run("network", "lossy-double-integrator", "--seed", "1").out
-    assert f"{document['datagrams']['sensor']['lost']} lost" in text
+    assert re.search(rf"^sensor .*\b{document['datagrams']['sensor']['lost']}\b", text, re.MULTILINE)
     assert "one finite-horizon run" in text
 
 
@@ -168,13 +171,13 @@ def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyP
     answer = run("network", "remote-scalar", "--world", "2")
     assert answer.code == 1
     assert "world 2 breaks an invariant at step 7: a packet is missing" in answer.err
-    assert re.search("^broken +step 7", answer.out, re.MULTILINE)
+    assert "an invariant is broken: step 7: a packet is missing" in " ".join(answer.out.split())
 
 
 @pytest.mark.evidence
 def test_losses_are_those_of_the_command_line(run: Run) -> None:
     """A link that is named loses so much, and others what the file says; without a name each does."""
-    lossy = ("network", "lossy-double-integrator", "--seed", "1", "--json", "--ticks", "30")
+    lossy = ("network", "lossy-double-integrator", "--seed", "1", "--json", "--steps", "30")
     for given, lost in (
         (["--loss", "sensor=1"], {"sensor": 1.0}),
         (["--loss", "0", "--loss", "actuator=1"], {"sensor": 0.0, "actuator": 1.0}),
@@ -216,7 +219,7 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, typed: str, monkeypatch:
     done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 0, done.stderr
     reports = [process.stop() for process in processes]
-    ticks = int(plant[plant.index("--ticks") + 1])
+    ticks = int(plant[plant.index("--steps") + 1])
     report = json.loads(done.stdout)
     assert report["tick"] == ticks - 1
     assert report["cost"]["value"] > 0
@@ -235,7 +238,7 @@ def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
     here, there = (f"127.0.0.1:{port}" for _, port in free_addresses(2))
     log = f"udp://127.0.0.1:{listener.address[1]}"
     actuator = Process(
-        ["node", "actuator", "two-mass-lqg", "--bind", there, "--plant", ":9", "--log", log, "--ticks", "30"]
+        ["node", "actuator", "two-mass-lqg", "--bind", there, "--plant", ":9", "--log", log, "--steps", "30"]
     )
     actuator.expect()
     plant = Endpoint(("127.0.0.1", 0))

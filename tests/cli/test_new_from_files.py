@@ -116,13 +116,16 @@ def test_a_feedthrough_is_written_with_a_note(run: Run, name: str) -> None:
 def test_what_is_missing_is_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing else: not A, B, the time base or Q."""
     write("part.mat", {"A": A, "B": B, "Q": 1, "Ts": 0.1})
-    monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n0.5\n4\n\n\n\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("all\n0\n0.5\nlqg\n4\n\n\n\n"))
     told = run("new", "new.toml", "--from", "part.mat")
     assert told.code == 0
-    asked = [line.split(",")[0].split(":")[0] for line in told.out.splitlines() if line.endswith(("yes", "0.5", "4"))]
-    assert asked == ["Is the whole state measured without noise? (yes", "W", "R"]
+    asked = [line.split(",")[0].split(":")[0] for line in told.out.splitlines() if "]: " in line][:5]
+    assert asked == [
+        "Measured signals", "Noise of each measurement", "Noise that acts on the states", "Controller",
+        "Acceptable size of each input",
+    ]  # fmt: skip
     written = tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))
-    assert (written["plant"]["W"][0][0], written["cost"]["R"]) == (0.5, [[4]])
+    assert (written["plant"]["W"][0][0], written["cost"]["R"]) == (0.25, [[0.0625]])
 
 
 def test_noise_without_an_output_is_on_every_state(run: Run) -> None:
@@ -191,21 +194,21 @@ def test_a_system_object_beside_its_matrices_is_ignored(run: Run) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"W": None, "R": None, "dt": None}, "plant.npz lacks W, R, dt (or Ts; 0 for continuous time); expected"),
-        ({"D": [[0.5], [0.5]]}, "plant.npz: D has shape (2, 1); expected (1, 1) = (outputs, inputs)"),
-        ({"D": [[0.0, 0.0, 0.0]]}, "plant.npz: D has shape (1, 3); expected (1, 1) = (outputs, inputs)"),
-        ({"E": np.eye(3)}, "plant.npz: E has shape (3, 3); expected (2, 2) = (states, states)"),
-        ({"C": None, "D": [[0.5]]}, "plant.npz has D and no C; expected C, as a direct feedthrough adds to measured"),
-        ({"Phi_w": 1.0}, "plant.npz has W and Phi_w; expected only one of them, since both specify W"),
+        ({"W": None, "R": None, "dt": None}, "the file plant.npz lacks W, R, dt (or Ts; 0 for continuous time)"),
+        ({"D": [[0.5], [0.5]]}, "plant.npz: D has shape (2, 1); expected the shape (1, 1) = (outputs, inputs)"),
+        ({"D": [[0.0, 0.0, 0.0]]}, "plant.npz: D has shape (1, 3); expected the shape (1, 1) = (outputs, inputs)"),
+        ({"E": np.eye(3)}, "plant.npz: E has shape (3, 3); expected the shape (2, 2) = (states, states)"),
+        ({"C": None, "D": [[0.5]]}, "the file plant.npz has D and no C; expected C, as a direct feedthrough adds to"),
+        ({"Phi_w": 1.0}, "the file plant.npz has the variables W and Phi_w; expected only one of them, since both"),
         ({"dt": None, "Ts": -1.0}, "the time base in plant.npz is -1; expected the seconds per step, or 0 for a"),
         ({"dt": [0.1, 0.2]}, "the time base in plant.npz is an array of shape (2,); expected the seconds per step"),
         ({"A": [[1.0, 2.0]]}, "plant.npz: A has shape (1, 2); expected a square matrix with at least one state"),
         ({"A": [[1j, 0], [0, 1]]}, "plant.npz: A is not an array of numbers (it contains complex128 values); expected"),
-        ({"A": [[np.nan, 0], [0, 1]]}, "plant.npz: A contains nan at index (0, 0); expected finite numbers"),
-        ({"A": "text"}, "A in plant.npz is a text or structure; expected a matrix of numbers"),
-        ({"A": np.array([None])}, "A in plant.npz is a pickled object; expected a matrix of numbers"),
-        ({"B": [0.0, 1.0]}, "plant.npz: B has shape (2,); expected (2, any) = (states, inputs)"),
-        ({"Q": [[1.0, 2.0, 3.0]]}, "plant.npz: Q is 1×3; expected one number, 2 for a diagonal, or a matrix 2×2"),
+        ({"A": [[np.nan, 0], [0, 1]]}, "plant.npz: A contains the number nan at index (0, 0); expected an array"),
+        ({"A": "text"}, "the variable A in plant.npz is a text or structure; expected a matrix of numbers"),
+        ({"A": np.array([None])}, "the variable A in plant.npz is a pickled object; expected a matrix of numbers"),
+        ({"B": [0.0, 1.0]}, "plant.npz: B has shape (2,); expected the shape (2, any) = (states, inputs)"),
+        ({"Q": [[1.0, 2.0, 3.0]]}, "plant.npz: Q is a matrix of size 1×3; expected one number, 2 numbers for a"),
         ({"W": [[1.0, 2.0], [3.0, 4.0]]}, "plant.npz: W is not symmetric"),
         ({"N": [[9.0], [9.0]]}, "plant.npz: [[Q, N], [N', R]] has the eigenvalue"),
     ],
@@ -230,8 +233,11 @@ def test_what_cannot_be_read_is_one_sentence(run: Run) -> None:
         whole = Path(write(name, WHOLE)).read_bytes()
         Path(f"cut.{name}").write_bytes(whole[: len(whole) // 2])
     for path in sorted(Path().glob("[ect]*")):
-        assert told(str(path)).sentence.startswith(f"'{path}' cannot be read (")
-    assert told("no.mat").sentence == "'no.mat' cannot be read (No such file or directory); expected a matrix file"
+        assert told(str(path)).sentence.startswith(f"the file '{path}' cannot be read (")
+    assert (
+        told("no.mat").sentence
+        == "the file 'no.mat' cannot be read (No such file or directory); expected a matrix file"
+    )
     assert told("a").sentence == "'a' has no ending; expected a matrix file that ends in .mat or .npz"
     assert told("a.csv").sentence == "'a.csv' ends in '.csv'; expected a matrix file that ends in .mat or .npz"
 

@@ -23,13 +23,13 @@ SIMULATED = ("--standard-error", "0.1")
         ("show", (), ()),
         ("certify", (), ("method",)),
         ("evaluate", ("--seed", "3", *SIMULATED), ("seed", "method")),
-        ("simulate", ("--seed", "3", "--ticks", "5"), ("seed", "method")),
+        ("simulate", ("--seed", "3", "--steps", "5"), ("seed", "method")),
         ("tradeoff", ("--seed", "3", "--over", "theta=0.5", *SIMULATED), ("seed", "method")),
         ("tune", ("--seed", "3", "--rate", "0.7", *SIMULATED), ("seed", "method")),
         ("compare", ("--seed", "3", "--rate", "0.7", *SIMULATED), ("seed", "method")),
         (
             "channel",
-            ("--seed", "3", "--copies", "2", "--capacity", "1", "--scheduler", "tdma", "--ticks", "100"),
+            ("--seed", "3", "--copies", "2", "--capacity", "1", "--scheduler", "tdma", "--steps", "100"),
             ("seed", "method"),
         ),
     ],
@@ -77,10 +77,10 @@ def test_files_say_what_they_were_computed_from(run: Run, write: Write, tmp_path
     """A table, a picture, and the data set of a sweep."""
     file, digest = write(), fingerprint(taciturn.load(write()))
     table = tmp_path / "path.parquet"
-    assert run("simulate", file, "--ticks", "5", "--seed", "3", "--table", str(table)).code == 0
+    assert run("simulate", file, "--steps", "5", "--seed", "3", "--table", str(table)).code == 0
     assert pd.read_parquet(table).attrs == origin(taciturn.load(file), 3, "simulation")
     picture = tmp_path / "path.svg"
-    assert run("simulate", file, "--ticks", "5", "--seed", "3", "--plot", str(picture)).code == 0
+    assert run("simulate", file, "--steps", "5", "--seed", "3", "--plot", str(picture)).code == 0
     assert digest in picture.read_text(encoding="utf-8")
     store = tmp_path / "cells"
     assert run("sweep", file, "--over", "theta=0.5", "--seed", "3", "--store", str(store), *SIMULATED).code == 0

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+import taciturn
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.model.packets import fingerprint
 
 if TYPE_CHECKING:
     from conftest import Run, Write
@@ -52,7 +56,7 @@ def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
     """A folder, a name that is too long, a program, another encoding."""
     assert (
         run("evaluate", str(tmp_path)).sentence
-        == f"'{tmp_path}' cannot be read (it is not a regular file); expected a TOML file"
+        == f"the problem file '{tmp_path}' cannot be read (it is not a regular file); expected a TOML file"
     )
     assert run("evaluate", "x" * 5000).sentence.endswith("cannot be read (File name too long); expected a TOML file")
     path = tmp_path / "binary.toml"
@@ -60,7 +64,8 @@ def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
         path.write_bytes(content)
         assert (
             run("evaluate", str(path)).sentence
-            == f"'{path}' cannot be read (it is not UTF-8 text: invalid start byte); expected a TOML file"
+            == f"the problem file '{path}' cannot be read (it is not UTF-8 text: invalid start byte); expected "
+            "a TOML file"
         )
 
 
@@ -70,7 +75,10 @@ def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
         ("[plant]\nA = [[1.0]\nB = [[1.0]]", "Unclosed array (at line 3, column 1)"),
         ("[plant]\nA = \n", "Invalid value (at line 2, column 5)"),
         ("[plant]\n\n[plant]\n", "Cannot declare ('plant',) twice (at line 3, column 7)"),
-        ("A = " + "[" * 5000 + "]" * 5000, "it is nested too deeply; expected tables of matrices"),
+        (
+            "A = " + "[" * 5000 + "]" * 5000,
+            "its values are nested too deeply; expected tables whose values are at most matrices",
+        ),
         ("A = " + "9" * 5000, "Exceeds the limit"),
     ],
     ids=["array", "value", "twice", "nested", "number"],
@@ -95,14 +103,20 @@ def test_what_is_not_toml_is_refused_at_its_line(run: Run, tmp_path: Path, text:
             continuous("[plant.jumps]\nrate = 1"),
             "the key plant.jumps.covariance is missing; expected it in [plant.jumps]",
         ),
-        ({"cost": "[cost]\nQ = [[1.0]]"}, "the key cost.R is missing; expected it in [cost]"),
+        ({"cost": "[cost]\nQ = [[1.0]]"}, "the key cost.R is missing; expected it in the table [cost]"),
         (
             {"more": "[network.actuator_burst]\nto_bad = 1"},
             "the key network.actuator_burst.to_good is missing; expected",
         ),
-        ({"more": "[reference]\nstates = [[1]]"}, "the key reference.inputs is missing; expected it in [reference]"),
-        ({"policy": "[policy]\ntheta = 1"}, "policy.kind is missing; expected one of absolute, all-time"),
-        ({"policy": LQG}, "policy.theta is missing; lqg requires it"),
+        (
+            {"more": "[reference]\nstates = [[1]]"},
+            "the key reference.inputs is missing; expected both reference.states and reference.inputs",
+        ),
+        (
+            {"policy": "[policy]\ntheta = 1"},
+            "policy.kind is missing; expected one of the policy kinds absolute, all-time",
+        ),
+        ({"policy": LQG}, "policy.theta is missing; expected this parameter, which the policy kind lqg requires"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
@@ -135,15 +149,19 @@ def test_a_missing_table_or_key_is_named(run: Run, write: Write, tables: dict[st
         ),
         (
             {"policy": LQG + "thet = 1"},
-            "policy.thet is not a parameter of lqg; expected one of theta, period,",
+            "policy.thet is not a parameter of the policy kind lqg; expected one of theta, period,",
             "theta",
         ),
         (
             {"policy": PERIODIC + "evry = 2"},
-            "policy.evry is not a parameter of periodic; expected one of every,",
+            "policy.evry is not a parameter of the policy kind periodic; expected one of every,",
             "every",
         ),
-        ({"policy": '[policy]\nkind = "lgq"'}, "policy.kind is 'lgq'; expected one of absolute, all-time", "lqg"),
+        (
+            {"policy": '[policy]\nkind = "lgq"'},
+            "policy.kind is 'lgq'; expected one of the policy kinds absolute, all-time",
+            "lqg",
+        ),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
@@ -157,19 +175,88 @@ def test_an_unknown_key_is_named_with_the_one_meant(
     assert told.endswith(f". Did you mean '{meant}'?")
 
 
+NUMBERS = """
+[plant]
+A = 1.2
+B = 1
+C = 2.0
+W = 0.01
+V = 0.1
+E = 2.0
+dt = 1.0
+input_limit = 5
+input_rate = 2.5
+[plant.initial]
+mean = 1.0
+covariance = 0.5
+[limits]
+outputs = 1.0
+high = 3.0
+"""
+FOLLOWED = """
+[cost]
+Q = 1.0
+R = 2.0
+N = 0.5
+[[disturbance]]
+enters = 1.0
+measured = 0.5
+wander = 1e-3
+[reference]
+outputs = 2.0
+value = 1.5
+[policy]
+kind = "absolute"
+threshold = 0.5
+weight = 2.0
+"""
+KEPT = """
+[cost]
+output_variance = 1.0
+input_variance = 4.0
+[controller]
+A = 1.0
+B = 1.0
+C = 0.1
+D = 0.2
+E = 0.0
+setpoint = 1.0
+[policy]
+kind = "excess"
+theta = 0.1
+"""
+
+
+@pytest.mark.parametrize("tables", [FOLLOWED, KEPT])
+def test_a_number_stands_for_a_vector_or_matrix_with_one_entry(tables: str) -> None:
+    """Everywhere in a file."""
+    matrices = re.sub(r"(?m)^(\w) = (\S+)$|^(covariance|outputs|weight) = (\S+)$", r"\1\3 = [[\2\4]]", NUMBERS + tables)
+    vectors = "mean|enters|measured|high|value|setpoint|input_limit|input_rate|input_variance|output_variance"
+    rows = re.sub(rf"(?m)^({vectors}) = (\S+)$", r"\1 = [\2]", matrices)
+    assert rows.count("[[") >= 11
+    found = [taciturn.problem.parse(tomllib.loads(text), "") for text in (NUMBERS + tables, rows)]
+    assert [repr(one.plant) for one in found[1:]] == [repr(found[0].plant)]
+    one, other = (problem.design() for problem in found)
+    assert fingerprint(one, found[0].network) == fingerprint(other, found[1].network)
+    assert one.cost_all_time == other.cost_all_time
+
+
 def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) -> None:
     """The network of a design is a table, not a key of [policy]."""
     told = run("evaluate", write(policy=LQG + "theta = 1\nnetwork = 1")).sentence
     assert (
-        "policy.network is not a parameter of lqg; expected one of theta, period, trigger, epsilon, actuation" in told
+        "policy.network is not a parameter of the policy kind lqg; expected one of theta, period, trigger, epsilon"
+        in told
     )
 
 
 @pytest.mark.parametrize(
     ("tables", "sentence"),
     [
-        (plant(A="1.2"), "plant.A is 1.2; expected a list"),
-        (plant(A="[1.2]"), "plant.A[0] is 1.2; expected a list"),
+        (plant(A='"1.2"'), "plant.A is '1.2'; expected a list of rows, such as [[0.9, 0.1], [0.0, 0.8]]"),
+        (plant(A="true"), "plant.A is True; expected a number"),
+        (plant(A="[true]"), "plant.A[0] is True; expected a number"),
+        (plant(input_limit='"5"'), "plant.input_limit is '5'; expected a list"),
         (plant(A='[["1.2"]]'), "plant.A[0][0] is '1.2'; expected a number"),
         (plant(A="[[true]]"), "plant.A[0][0] is True; expected a number"),
         (plant(A="[[1979-05-27]]"), "plant.A[0][0] is datetime.date(1979, 5, 27); expected a number"),
@@ -194,7 +281,7 @@ def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) 
         ({"policy": PERIODIC + "every = [4, 0.5]"}, "policy.every is [4, 0.5]; expected a whole number"),
         (
             {"policy": "[policy]\nkind = 1"},
-            f"policy.kind is 1; expected one of {', '.join(CATALOGUE)}",
+            f"policy.kind is 1; expected one of the policy kinds {', '.join(CATALOGUE)}",
         ),
         ({"plant": "policy = 1\n" + plant()["plant"], "policy": ""}, "policy is 1; expected a table"),
     ],
@@ -211,18 +298,28 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
 @pytest.mark.parametrize(
     ("tables", "sentence"),
     [
-        (plant(A="[[1], [2, 3]]"), "A is ragged: its rows differ in length; expected the shape (any, any)"),
         (
-            plant(W="[[1], [2, 3]]"),
-            "W is ragged: its rows differ in length; expected the shape (1, 1) = (states, states)",
+            plant(A="[[1], [2, 3]]"),
+            "A has rows of different lengths: row 2 has 2 entries, and row 1 has 1 entry; expected rows of equal len",
         ),
-        (plant(A="[[nan]]"), "A contains nan at index (0, 0); expected finite numbers"),
-        (plant(B="[[inf]]"), "B contains inf at index (0, 0); expected finite numbers"),
+        (
+            plant(W="[[1], 2]"),
+            "W has rows of different lengths: row 2 is 2.0, and row 1 has 1 entry; expected rows of equal",
+        ),
+        (plant(A="[1.2]"), "A has shape (1,); expected the shape (any, any) = (states, states), such as [[1.2]]"),
+        (plant(A="[[nan]]"), "A contains the number nan at index (0, 0); expected an array of finite numbers"),
+        (plant(B="[[inf]]"), "B contains the number inf at index (0, 0); expected an array of finite numbers"),
         (plant(A="[[]]"), "A has shape (1, 0); expected a square matrix with at least one state"),
         (plant(dt="nan"), "dt is nan; expected a finite number"),
         (plant(dt="0"), "dt is 0; expected 0 < dt"),
-        (plant(B="[[0.0]]"), "(A, B) is not stabilisable: no input can move the mode at 1.2, which grows"),
-        (plant(C="[[0.0]]"), "(A, C) is not detectable: no measurement shows the mode at 1.2, which grows"),
+        (
+            plant(B="[[0.0]]"),
+            "(A, B) is not stabilisable: no input affects the growing mode with the eigenvalue 1.2;",
+        ),
+        (
+            plant(C="[[0.0]]"),
+            "(A, C) is not detectable: no measurement shows the growing mode with the eigenvalue 1.2;",
+        ),
         (
             plant(function="'f.py'"),
             "plant.function is 'f.py'; expected 'file.py:name', a Python file and a function in",
@@ -234,22 +331,22 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt",
         ),
         (continuous(JUMPS), "W and jumps are both given; expected one kind of noise: remove one"),
-        (actual(dt=""), "plant.actual.dt is missing, but plant.dt is 1 s; expected the same time base in both"),
-        (actual(dt="0.5"), "plant.actual.dt is 0.5 s, but plant.dt is 1 s; expected the same time base in both"),
-        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1, as in [plant]"),
+        (actual(dt=""), "plant.actual.dt is missing, but plant.dt is 1 s; expected the same time step in both"),
+        (actual(dt="0.5"), "plant.actual.dt is 0.5 s, but plant.dt is 1 s; expected the same time step in both"),
+        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1 inputs, as in [plant]"),
         (actual(W="[[-1]]"), "[plant.actual]: W has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[-1]]\nR = [[1]]"}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[1]]\nR = [[-1]]"}, "R has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": COST + "N = [[10.0]]"}, "[[Q, N], [N', R]] has the eigenvalue -8.5"),
         (
             {"cost": COST + "terminal = [[1.0]]"},
-            "terminal is given without horizon; expected horizon and terminal, or neither of them",
+            "terminal is given without horizon; expected both horizon and terminal, or neither of them",
         ),
         ({"more": UDP + BURST}, "network.actuator_burst: to_bad is 2; expected 0 ≤ to_bad ≤ 1"),
         ({"more": "[network]\nprotocol = 'utp'"}, "network.protocol is 'utp'; expected 'udp', 'tcp' or 'ideal'"),
         (
             {"more": "[reference]\nstates = [[1]]\ninputs = [[1]]"},
-            "[reference] is given, which lqg does not use; expected",
+            "[reference] is given, which the policy kind lqg does not use; expected",
         ),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
@@ -270,12 +367,12 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         (
             {"policy": LQG + "theta = 1\nepsilon = 1"},
             "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
-            "epsilon: use separate runs to compare both triggers",
+            "epsilon: use two runs to compare the two triggers",
         ),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 0"}, "epsilon is 0; expected 0 < epsilon < "),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 99"}, "epsilon is 99; expected 0 < epsilon < "),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = nan"}, "epsilon is nan; expected "),
-        ({"policy": LQG + "theta = 1\nperiod = 0.1"}, "period is 0.1, and the plant is discrete in time; expected no"),
+        ({"policy": LQG + "theta = 1\nperiod = 0.1"}, "period is 0.1, but the plant is discrete in time; expected no"),
         (continuous(), "period is missing; expected the sampling period in seconds, as the plant is continuous"),
         (continuous(policy=LQG + "theta = 1\nperiod = 0"), "period is 0; expected 0 < period"),
         (
@@ -287,29 +384,33 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
             "a step of 0.1 s has 500 jumps on average, too many to draw one by one; expected shorter steps, or Wiener",
         ),
         ({"policy": PERIODIC}, "every is missing; expected the number of steps between sends, at least 1, or a list"),
-        ({"policy": PERIODIC + "every = 0"}, "every is 0; expected a whole number, at least 1"),
-        ({"policy": PERIODIC + "every = []"}, "every is an empty list; expected the steps between sends, at least 1"),
+        ({"policy": PERIODIC + "every = 0"}, "every is 0; expected a whole number of at least 1"),
+        ({"policy": PERIODIC + "every = []"}, "every = []; expected the number of steps between sends, at least 1"),
         (
             {"cost": COST + "horizon = 5"},
-            "cost.horizon is 5, which lqg does not use; expected an average cost: remove this key",
+            "cost.horizon is 5, which the policy kind lqg does not use; expected an average cost: remove this key",
         ),
-        ({"cost": COST + "discount = 0.9"}, "cost.discount is 0.9, which lqg does not use; expected an average cost"),
+        (
+            {"cost": COST + "discount = 0.9"},
+            "cost.discount is 0.9, which the policy kind lqg does not use; expected an average cost",
+        ),
         (
             {"cost": continuous()["cost"]},
-            "Q has the shape (2, 2) and R the shape (1, 1); expected (1, 1) and (1, 1), for the states and inputs",
+            "Q has the shape (2, 2) and R the shape (1, 1); expected the shapes (1, 1) and (1, 1), for the states and",
         ),
         (
             {"more": UDP},
-            "network.protocol is given, which lqg does not use; expected ideal links: remove it (`taciturn "
-            "network FILE --loss P` drops packets of policies of any kind), or the kind distributed or excess",
+            "network.protocol is given, which the policy kind lqg does not use; expected ideal links: remove "
+            "network.protocol (`taciturn "
+            "network FILE --loss P` drops packets of any policy kind), or the kind distributed or excess",
         ),
         (
             {"more": UDP + "actuator_loss = 0.1"},
-            "network.protocol is given, which lqg does not use; expected ideal links",
+            "network.protocol is given, which the policy kind lqg does not use; expected ideal links",
         ),
         (
             {"more": "[network]\ndelay = 1"},
-            "network.delay is given, which lqg does not use; expected ideal links: remove",
+            "network.delay is given, which the policy kind lqg does not use; expected ideal links: remove",
         ),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",

@@ -80,7 +80,7 @@ def test_a_registered_kind_is_evaluated_run_and_exported(tmp_path: Path) -> None
         tmp_path,
         "show mine.toml --json",
         "evaluate mine.toml --steps 20000 --json",
-        "network mine.toml --ticks 50 --json",
+        "network mine.toml --steps 50 --json",
         "export mine.toml --c code",
         "new own.toml --kind decaying",
         "evaluate mine.toml --set kind=decaing",
@@ -128,17 +128,20 @@ def test_a_registered_kind_is_completed_without_its_import(tmp_path: Path) -> No
     [
         (
             {"lost": "missing:KIND"},
-            "the policy kind lost needs missing:KIND, which cannot be imported (ModuleNotFoundError",
+            "the policy kind 'lost' needs the Python object missing:KIND, which cannot be imported (Module",
         ),
         (
             {"lost": "decaying:decaying"},
-            "the policy kind lost needs decaying:decaying of the package decaying, which is a function; expected",
+            "the policy kind 'lost' needs the object decaying:decaying of the package decaying, which is a function;",
         ),
         (
             {"lost": "decaying:KIND"},
-            "the policy kind lost needs decaying:KIND of the package decaying, which is the kind decaying; expected",
+            "the policy kind 'lost' needs the object decaying:KIND of the package decaying, which is the kind decaying",
         ),
-        ({"lqg": "decaying:KIND"}, "the policy kind lqg is registered by taciturn itself and by the package decaying"),
+        (
+            {"lqg": "decaying:KIND"},
+            "the policy kind 'lqg' is registered by taciturn itself and by the package decaying",
+        ),
     ],
 )
 def test_a_wrong_registration_is_refused_when_it_is_asked_for(
@@ -163,7 +166,7 @@ def test_two_packages_with_a_kind_of_the_same_name_are_named(tmp_path: Path) -> 
     env = installed(tmp_path / "site", {"decaying": "decaying:KIND"}, "other")
     code = "from taciturn.design.catalogue import CATALOGUE\nCATALOGUE['decaying']"
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
-    assert "the policy kind decaying is registered by the package" in done.stderr.splitlines()[-1]
+    assert "the policy kind 'decaying' is registered by the package" in done.stderr.splitlines()[-1]
 
 
 BROKEN = """
@@ -226,7 +229,7 @@ def test_commands_of_a_package_are_added_unless_their_name_is_taken(tmp_path: Pa
     done = subprocess.run(run, env=env, capture_output=True, text=True, check=True)
     assert done.stdout == "hello\n"
     assert "the commands of the package more are not used, since the command show exists already" in done.stderr
-    assert "the command line needs missing_commands, which cannot be imported" in done.stderr
+    assert "the command line needs the Python object missing_commands, which cannot be imported" in done.stderr
 
 
 def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) -> None:
@@ -244,7 +247,7 @@ def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) 
 
     shown = run("show", "two-mass")
     assert (shown.returncode, shown.stderr.count("\n")) == (0, 1)
-    told = "cannot be imported (SystemExit: 3); expected an existing object: repair or remove the package first"
+    told = "cannot be imported (SystemExit: 3); expected an object that can be imported: repair or remove"
     assert told in shown.stderr
     missing = run("evaluate", "nosuch")
     assert missing.returncode == 2
@@ -252,7 +255,10 @@ def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) 
     assert "there is no file 'nosuch'; expected a problem file, or one of the built-in problems" in missing.stderr
     kind = run("show", "two-mass", "--set", "kind=gone")
     assert kind.returncode == 2
-    assert "the policy kind gone needs gone:KIND, which cannot be imported (SystemExit: 3)" in kind.stderr
+    assert (
+        "the policy kind 'gone' needs the Python object gone:KIND, which cannot be imported (SystemExit: 3)"
+        in kind.stderr
+    )
 
 
 def test_entry_points_that_are_no_text_leave_all_other_packages_as_they_are(tmp_path: Path) -> None:

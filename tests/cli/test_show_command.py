@@ -40,9 +40,9 @@ def document(run: Run, *arguments: str) -> dict[str, Any]:
 
 
 def rows(text: str) -> dict[str, str]:
-    """Return what stands behind each name."""
+    """Return what stands behind each name of the details, which follow the verdict."""
     text = re.sub(r"\n {15}(?=[^\s\[])", " ", text)  # of values in several lines
-    return {line[:14].strip(): line[15:] for line in text.split("\n\n")[0].splitlines() if line[:14].strip()}
+    return {line[:14].strip(): line[15:] for line in text.split("\n\n")[:2][-1].splitlines() if line[:14].strip()}
 
 
 def test_set_points_that_change_are_shown_as_data(run: Run, tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
 
 
 def test_the_text_shows_the_outputs_and_inputs_of_each_node(run: Run, tmp_path: Path) -> None:
-    """By index, also of a node with all of them, and the place that nodes share; not of the three usual nodes."""
+    """By number, also of a node with all of them, and the place that nodes share; not of the three usual nodes."""
     nodes = "\n".join([
         "[nodes.level-2]", "measures = [1]", "[nodes.level-1]", "measures = [0]", "[nodes.plc]", "controls = true",
         "[nodes.pumps]", "applies = true", 'site = "plc"',
@@ -113,44 +113,51 @@ def test_the_text_shows_the_outputs_and_inputs_of_each_node(run: Run, tmp_path: 
     file.write_text(f'{plant}{weights}{nodes}\n[policy]\nkind = "distributed"\ntheta = 1.0\n', encoding="utf-8")
     found = [" ".join(line.split()) for line in run("show", str(file)).out.splitlines() if line.startswith("node,")]
     assert found == [
-        "node, level-2 measures output 1",
-        "node, level-1 measures output 0",
+        "node, level-2 measures y2",
+        "node, level-1 measures y1",
         "node, plc controls",
-        "node, pumps applies inputs 0, 1; at the place of plc",
+        "node, pumps applies u1, u2; at the place of plc",
     ]
     assert "node," not in run("show", "two-mass").out
 
 
 def test_the_text_says_what_the_document_says(run: Run) -> None:
-    """Sizes, poles, guarantee, the trigger's forms; the diagram stands below."""
+    """Sizes, poles, guarantee, the rule of the link with its symbols and matrices; the diagram stands below."""
     told = run("show", "two-mass-lqg")
     found = rows(told.out)
     assert found["plant"] == "4 states, 1 input, 2 outputs; discrete in time, 0.1 s per step"
     assert found["poles"].startswith("marginally stable: ")
     assert (found["controllable"], found["observable"], found["noise W"]) == ("yes", "yes", "0.01 I (4×4)")
     assert found["guarantee"].startswith("J ≤ (1+θ) J_all, mean-square stable: at most 0.8068")
-    assert found["silent"] == "η'Ψη, η = [estimate; candidate; error]"
-    assert found["link, actuator"] == "command (1): if send, by estimate, candidate, error"
-    assert told.out.endswith(f"\n\n{taciturn.load('two-mass-lqg').design().diagram().text()}\n")
+    policy = taciturn.load("two-mass-lqg").design()
+    silent, send = policy.decisions["send"].options.values()
+    weight = np.asarray(silent.Psi)[-1, -1]  # of the error e, next to parts of the state and the input
+    assert found["link, actuator"].startswith(f"input u; sends when {weight:.3g} e² > 0.01 |x̂|² + ")
+    assert f"+ {send.constant:.3g} " in found["link, actuator"]
+    assert "e: input without a packet minus computed input" in found["link, actuator"]
+    assert told.out.endswith(f"\n\n{policy.diagram().text(legend=False)}\n")
 
 
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.evidence) if kind in SLOW else kind for kind in CATALOGUE]
 )
 def test_every_kind_is_shown(kind: str) -> None:
-    """As text and as JSON; every decision, link and note of its policy is named."""
+    """As text and as JSON; the rule of every link, every note and every further decision of its policy is named."""
     found = describe(example_of(CATALOGUE[kind]))
     shown = json.loads(json.dumps(found.document(), allow_nan=False))
     told = "\n".join(f"{name:14s} {text}" for name, text in found.lines())
     policy = found.policy
     assert rows(told)["policy"].split()[0] == shown["policy"] == policy.kind == kind
-    for name, options in shown["decisions"].items():
-        assert f"decision {name}" in told
-        assert all(label in told for label in list(options)[:4])
+    rules = [] if found.diagram is None else [link.rule for link in found.diagram.links]
+    sending = {link["decision"] for link in (shown["diagram"] or {"links": []})["links"]}
+    for name in shown["decisions"].keys() - sending.union(*(rule.follows for rule in rules)):
+        assert f"decision, {name}" in told
+    words = " ".join(told.split())
+    assert all(" ".join(text.split()) in words for rule in rules for text in (rule.sentence, *rule.explained))
+    said = " ".join(text for name, text in rows(told).items() if name.startswith(("link", "decision")))
+    assert not re.search("_|≠|least value", said)
     links = [] if found.nodes is None else [step for step in found.nodes.steps if isinstance(step, Send)]
     assert [link["link"] for link in (shown["diagram"] or {"links": []})["links"]] == [step.link for step in links]
-    for step in links:
-        assert all(f"{name} (" in rows(told)[f"link, {step.link}"] for name in step.payload)
     assert (shown["diagram"] is None) == (found.nodes is None)
     proved = isinstance(policy, taciturn.Policy) and policy.guarantee is not None
     if isinstance(policy, taciturn.Policy) and policy.guarantee is not None:
@@ -209,7 +216,7 @@ def test_missions_links_and_tables_are_told(run: Run) -> None:
     rover = rows(shown)
     assert rover["cost"] == "a finite-horizon run of 60 steps of x'Qx + u'Ru per step"
     assert "input = + L × estimate; L:\n               selected by clock, 60 matrices; the first:" in shown
-    assert rover["link, sensor"].startswith("y (1): if query, by the step counter: 11 of the first 59 steps")
+    assert rover["link, sensor"].startswith("measurement y; sends at 11 of the first 59 steps")
     lossy = rows(run("show", "lossy-double-integrator").out)
     assert lossy["network"] == "udp (no acknowledgement); sensor drops 60 %, actuator drops 30 %"
     assert lossy["at a rate"] == "at most 63.7761 + 10 (1 − sends per step)"
@@ -227,7 +234,9 @@ def test_what_has_no_nodes_is_not_drawn(run: Run, tmp_path: Path, write: Write) 
     """And says how it would have some."""
     path = write(plant=JUMPS, cost=ONE, policy=INTEGRAL)
     told = run("show", path, "--plot", str(tmp_path / "nodes.svg"))
-    assert told.sentence.startswith("integral without a period has no nodes to draw")
+    assert told.sentence.startswith(
+        "the policy kind integral without policy.period has no nodes that --plot could draw"
+    )
 
 
 def test_a_terminal_without_boxes_gets_plain_ones(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,7 +244,7 @@ def test_a_terminal_without_boxes_gets_plain_ones(run: Run, monkeypatch: pytest.
     terminal = io.TextIOWrapper(io.BytesIO(), encoding="latin-1")
     monkeypatch.setattr(sys, "stdout", terminal)
     assert run("show", "two-mass-lqg").code == 0
-    drawn = terminal.buffer.getvalue().decode("latin-1").split("\n\n")[1]
+    drawn = terminal.buffer.getvalue().decode("latin-1").split("\n\n")[2]
     assert drawn.isascii()
     assert drawn.startswith("+-----")
 

@@ -21,7 +21,7 @@ LONG = ["--standard-error", "1e-8"]
 GRID = ["--over", "theta=0.01,0.02,0.05,0.1,0.2,0.5,1,2"]
 COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, and arguments
     "evaluate": (2.0, ["evaluate", "two-mass", *LONG]),
-    "simulate": (3.0, ["simulate", "two-mass", "--ticks", "10000000"]),
+    "simulate": (3.0, ["simulate", "two-mass", "--steps", "10000000"]),
     "tradeoff": (3.0, ["tradeoff", "two-mass", *GRID, *LONG]),
     "tradeoff with workers": (4.0, ["tradeoff", "two-mass", *GRID, *LONG, "--workers", "2"]),
     "tune": (3.0, ["tune", "two-mass", "--rate", "0.3", *LONG]),
@@ -34,11 +34,11 @@ COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, an
         3.0, ["channel", "wiener-double-integrator", "inverted-pendulum", "--copies", "500", "--capacity", "60",
               *LONG, "--workers", "2"],
     ),
-    "network": (4.0, ["network", "two-mass", "--ticks", "1000000"]),
-    "network in real time": (4.0, ["network", "two-mass", "--ticks", "100000", "--real-time"]),
+    "network": (4.0, ["network", "two-mass", "--steps", "1000000"]),
+    "network in real time": (4.0, ["network", "two-mass", "--steps", "100000", "--real-time"]),
     "node": (2.0, ["node", "controller", "two-mass", "--peer", "127.0.0.1:9", "--plant", "127.0.0.1:9"]),
     "relay": (1.5, ["relay", "--peer", "127.0.0.1:9"]),
-    "plant": (2.0, ["plant", "two-mass", "--peer", "127.0.0.1:9", "--ticks", "100000"]),
+    "plant": (2.0, ["plant", "two-mass", "--peer", "127.0.0.1:9", "--steps", "100000"]),
     "camera": (3.0, ["camera", "rover", "rover", "--peer", "127.0.0.1:9"]),
     "export": (0.5, ["export", "two-mass", "--c", "c"]),
     "twin": (4.0, ["twin", "rover"]),

@@ -69,9 +69,11 @@ def test_a_summary_fits_80_columns() -> None:
     cells |= {"rate_actuator": (("theta", "cost.R"), [[0.272]], {"units": "sends per step"})}
     found = xarray.Dataset(cells, {"theta": [0.05], "cost.R": ["[[0.1, 0.0], [0.0, 0.1]]"]})
     lines = str(SweepTable(found)).splitlines()
-    assert len(lines) == 5
     assert max(map(len, lines)) <= 80
-    assert lines[0] == "1 cells over theta (1) × cost.R (1): 1 evaluated, 0 refused"
+    told = SweepTable(found).verdict
+    assert told[0].startswith("least cost 0.7405479 ± 0.0000056 at theta = 0.05, cost.R = [[0.1, 0.0], [0.0, 0.1]]")
+    assert told[1] == "1 cells over theta (1) × cost.R (1): 1 evaluated, 0 refused"
+    assert lines[-1].endswith("[[0.1, 0.0], [0.0, 0.1]]  0.7405479 ± 0.0000056")
 
 
 def test_the_bar_counts_cells(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,9 +22,12 @@ from typing import Any
 import numpy as np
 from everything import plain
 from everything.commands import run
+from everything.every_path import every_path_policy, promised
 from everything.interpreters import CHEAP, COSTLY, SkippedError
+from everything.laws import nodes_of
 from everything.lower import bounded_below
 from everything.mutated import like_python
+from everything.nodes import on_every_path
 from everything.policies import policy_of, resolved
 from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, command, is_sentence
 from everything.toml import text_of
@@ -221,6 +224,15 @@ def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables,
         over = again.cost.value - SURE * (again.cost.standard_error + again.bound_error + again.cost.error) - other
         if over > 1e-9 * abs(other):
             report.faults.append(Fault(f"ordered: {name}", f"cost {again.cost}, {name} {other:.8g}"))
+    if (
+        found.certificate is not None
+        and cost - slack - DOUBT * found.certificate.standard_error > found.certificate.value
+    ):
+        again = evaluated(problem, seed + 1, LONGER)
+        assert again.certificate is not None
+        spread = SURE * (again.cost.standard_error + again.cost.error + again.certificate.standard_error)
+        if again.cost.value - spread > again.certificate.value:
+            report.faults.append(Fault("ordered: certificate", f"cost {again.cost}, certificate {again.certificate}"))
     best = found.cost_periodic_same_rate
     if best is not None and problem.kind in ("periodic", "periodic-schedule") and best > (1 + 1e-6) * cost + slack:
         report.faults.append(Fault("ordered: periodic", f"cost {found.cost}, periodic at the same rate {best:.8g}"))
@@ -235,6 +247,15 @@ NO_AVERAGE = ("no average", "not an average", "not averages", "depend on the sim
 
 def simulated(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
     """Cost and rates are those of a plain simulation, unless evaluate says itself that they are no averages."""
+    if (
+        problem.kind == "distributed"
+        and on_every_path(tables)
+        and any(words in note for note in found.notes for words in NO_AVERAGE[1:3])
+    ):
+        try:
+            found = evaluated(problem, seed, LONGER)  # a bank may take long to fill
+        except TaciturnError:
+            raise SkippedError("a loop that diverges in a longer run") from None
     if any(words in note for note in found.notes for words in NO_AVERAGE):
         raise SkippedError("no average")
     try:
@@ -253,6 +274,23 @@ def simulated(report: Report, problem: Problem, found: Evaluation, tables: Table
             notes = "; ".join(found.notes)
             text = f"plain simulation {own}, evaluate {theirs}, {z:.1f} standard errors apart; notes: {notes}"
             report.faults.append(Fault(f"simulated: {name.partition(' ')[0]}", f"{name}: {text}"))
+
+
+def kept_on_every_path(
+    report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int
+) -> None:
+    """By its rules alone, no path of this simulation costs more than its certificate, or than its promise."""
+    if problem.kind != "distributed" or not on_every_path(tables) or problem.nonlinear:
+        raise SkippedError("no bound on every path")
+    try:
+        tables = plain.without_descriptor(tables)
+        model = resolved(tables, plain.model_of(tables, folder))
+        nodes = nodes_of(tables, len(model.C), model.m)
+        text = promised(model, *every_path_policy(tables, model, nodes, found.cost_all_time), seed)
+    except plain.NotModelledError as error:
+        raise SkippedError(f"not modelled: {error}") from None
+    if text:
+        report.faults.append(Fault("kept on every path", text))
 
 
 def compare(
@@ -378,7 +416,7 @@ def through_network(
     report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int
 ) -> None:
     """The nodes run as processes that exchange datagrams, or are refused by name with one sentence."""
-    refusal = command("network", "--ticks", "12", "--json")(folder, seed)
+    refusal = command("network", "--steps", "12", "--json")(folder, seed)
     if refusal is None:
         return
     if not is_sentence(refusal):
@@ -406,6 +444,7 @@ CHECKS: dict[str, Check] = {
     "finite": finite,
     "ordered": ordered,
     "simulated": simulated,
+    "kept on every path": kept_on_every_path,
     "written again": written_again,
     "pickled": pickled,
     "shown": shown,

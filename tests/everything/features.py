@@ -46,7 +46,8 @@ def build(names: Collection[str], seed: int) -> Draft:
         if feature.name in names:
             draft.rng = np.random.default_rng([seed, crc32(feature.name.encode())])
             feature.add(draft)
-    order = ("plant", "disturbance", "reference", "cost", "network", "nodes", "links", "controller", "limits", "policy")
+    order = ("plant", "disturbance", "reference", "cost", "network", "nodes", "links", "controller", "limits", "names",
+             "policy")  # fmt: skip
     draft.tables = {name: draft.tables[name] for name in order if name in draft.tables}
     return draft
 
@@ -441,7 +442,7 @@ def links_of(draft: Draft) -> list[str]:
     """Return the links of [network] on which the kind of the draft sends."""
     policy = draft.policy
     kind, where = policy["kind"], policy.get("controller", "remote")
-    if kind == "lossy-lqg" or (kind == "remote-lqg" and where == "remote"):
+    if kind in ("distributed", "lossy-lqg") or (kind == "remote-lqg" and where == "remote"):
         return ["sensor", "actuator"]
     state = draft.continuous and "C" not in draft.plant
     predicts = kind in ("consistent", "integral", "optimal") or (state and kind == "near-optimal")
@@ -615,6 +616,14 @@ def state_limits(draft: Draft) -> None:
     draft.tables["limits"] = found
 
 
+# -- names of signals
+
+
+def names(draft: Draft) -> None:
+    """Name the inputs, for figures."""
+    draft.tables["names"] = {"inputs": [f"force {i} (N)" for i in range(len(draft.plant["B"][0]))]}
+
+
 # -- kinds and their options
 
 
@@ -674,6 +683,14 @@ def option(**keys: object) -> Callable[[Draft], None]:
                 draft.policy[key] = value
 
     return add
+
+
+def share_of_bank(draft: Draft) -> None:
+    """State the share of the stage cost that a relative bank saves, in place of the threshold."""
+    if "kappa" not in CATALOGUE[draft.policy["kind"]].parameters:
+        raise Elsewhere
+    draft.policy.pop("theta", None)
+    draft.policy["kappa"] = 0.2
 
 
 def shares(draft: Draft) -> None:
@@ -818,6 +835,14 @@ def features() -> list[Feature]:
         "zero": ("actuation", option(actuation="zero")),
         "predicted probes": ("prediction", option(prediction="model")),
         "joint": ("joint", option(joint=True)),
+        "each link for itself": ("joint", option(joint=False)),
+        "every path": ("guarantee", option(guarantee="every path")),
+        "bank": ("rule", option(rule="bank")),
+        "relative bank": ("rule", option(rule="relative")),
+        "relative bank of a share": ("rule", share_of_bank),
+        "threshold of silence": ("rule", option(rule="threshold")),
+        "spending": ("spend", option(spend=0.4)),
+        "range of gains": ("range", option(gain_range=[0.8, 1.2])),
         "shares": ("shares", shares),
         "sensor decides": ("link", option(link="sensor")),
         "actuator link": ("link", option(link="actuator")),
@@ -833,6 +858,7 @@ def features() -> list[Feature]:
         "controller at the sensor": ("place", option(controller="sensor", zeta=None)),
         "longest silence": ("longest", option(longest=6.0)),
         "violations": ("violations", state_limits),
+        "names": ("names", names),
         "descriptor": ("descriptor", descriptor),
     }
     ordered = [plants, signals, networks, points, costs, controllers]

@@ -9,10 +9,12 @@ import pickle
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from everything.toml import text_of
 
 import taciturn
 from taciturn.errors import TaciturnError
@@ -93,6 +95,69 @@ def saved_state(problem: Problem, found: Evaluation, seed: int, folder: Path) ->
     return None
 
 
+def certified(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """No path of the nodes costs more than they certify, nor than was promised, next to one with every sample."""
+    policy = stepping(problem)
+    if not policy.theory.silence:
+        raise SkippedError("nodes that do not measure the cost of their silence")
+    if problem.nonlinear or not problem.close(policy).nominal:
+        raise SkippedError("another plant than that of the design")
+    every = problem_with_every_sample(problem, policy, folder)
+    promise = promise_of(policy, problem)
+    runs = [Run(one, seed) for one in (problem, every)]
+    for k in range(1, 1 + min(2 * TICKS, problem.cost.horizon or 2 * TICKS)):
+        left, right = (sqrt(max(one.step(), 0.0)) for one in runs)
+        if any(one.total for one in runs[1].nodes.silence):
+            return "a link that must send in every step is silent"
+        raised = sum(sqrt(max(one.total, 0.0)) for one in runs[0].nodes.silence)
+        room = 1e-6 * (left + right) + 1e-9
+        if abs(left - right) > raised + room:
+            return f"step {k}: √J {left:.8g}, with every sample {right:.8g}, and the certificate {raised:.8g}"
+        if promise is not None and left > right + promise * sqrt(k) + room:
+            return f"step {k}: √J {left:.8g}, with every sample {right:.8g}, and the promise {promise * sqrt(k):.8g}"
+    return None
+
+
+def problem_with_every_sample(problem: Problem, policy: Policy, folder: Path) -> Problem:
+    """Return the problem whose links must send in every step, and lose nothing."""
+    tables = {name: dict(table) if isinstance(table, Mapping) else table for name, table in problem.source.items()}
+    tables["links"] = {link: {"max_interval": 1} for link in policy.network.links}
+    tables.pop("network", None)
+    tables["policy"] = {key: one for key, one in tables["policy"].items() if key != "joint"}
+    (folder / "every.toml").write_text(text_of(tables), encoding="utf-8")
+    return taciturn.load(folder / "every.toml")
+
+
+def promise_of(policy: Policy, problem: Problem) -> float | None:
+    """Return by how much √J may grow at most in each step by the promise of banks and thresholds, or None."""
+    bound = policy.theory.guarantee
+    if bound is None or problem.source["policy"].get("rule") == "relative" or "kappa" in problem.source["policy"]:
+        return None
+    whole, loop = policy.cost_all_time, problem.close(policy).problem
+    off = loop.per_unit(0.0)
+    raised = sqrt(bound.cost - off) - sqrt(whole - off)
+    return raised * sqrt(loop.unit / loop.ticks)
+
+
+class Run:
+    """All nodes of a problem with a simulated plant, step by step."""
+
+    def __init__(self, problem: Problem, seed: int) -> None:
+        """Begin."""
+        policy = problem.design()
+        self.loop = problem.close(policy)
+        self.nodes = taciturn.Nodes(policy, problem.network, seed % 1000)
+        self.plant, self.sensed = SimulatedPlant(self.loop, seed), policy.model.sensed
+        self.changing, self.cost = policy.model.outputs > self.sensed, 0.0
+
+    def step(self) -> float:
+        """Make a step, and return the cost up to now, without that of the noise between samples."""
+        y = self.plant.measurement
+        told: dict[str, Any] = {"reference": y[self.sensed :]} if self.changing else {}
+        self.cost += self.plant.move(tuple(self.nodes.step(y[: self.sensed], **told)))
+        return self.cost + self.plant.final_cost()
+
+
 def recorded(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
     """An answer that is written as text and read is the same answer."""
     again = decode(encode(found))
@@ -158,6 +223,7 @@ CHEAP: Mapping[str, Callable[[Problem, Evaluation, int, Path], str | None]] = {
     "recorded": recorded,
     "nodes": same_bits_of_nodes,
     "saved state": saved_state,
+    "certified": certified,
 }
 COSTLY: Mapping[str, Callable[[Problem, Evaluation, int, Path], str | None]] = {
     "world": world_of_faults,

@@ -125,9 +125,13 @@ class Channel:
         self.count = np.full(paths, float(law.least))
         self.state = rng.choice(len(law.drops), paths, p=np.maximum(law.stationary, 0) / law.stationary.clip(0).sum())
 
+    def limits(self, wants: Array) -> Array:
+        """Return which paths send within the limits of intervals, if those want to."""
+        return (wants | (self.count >= self.law.most)) & (self.count >= self.law.least)
+
     def allowed(self, wants: Array) -> Array:
         """Return which paths send, if those want to."""
-        sends = (wants | (self.count >= self.law.most)) & (self.count >= self.law.least)
+        sends = self.limits(wants)
         self.count = np.where(sends, 1.0, self.count + 1)
         return sends
 

@@ -317,11 +317,20 @@ class Variances:
         return u, flags
 
 
+def on_every_path(tables: Tables) -> bool:
+    """Tell whether the bound of ``distributed`` holds on every path, and not in the mean."""
+    return "controller" in tables or tables["policy"].get("guarantee") == "every path"
+
+
 def node_policy(tables: Tables, model: Model, nodes: Nodes, all_time: float | None) -> tuple[Any, Any]:
     """Return the policy of a file, and its twin that sends every sample."""
     kind = tables["policy"]["kind"]
     if model.limited:
         raise NotModelledError("limits of the inputs")
+    if kind == "distributed" and on_every_path(tables):
+        from everything.every_path import every_path_policy
+
+        return every_path_policy(tables, model, nodes, all_time)
     if kind == "distributed":
         return Distributed(tables, model, nodes, all_time), Distributed(tables, model, nodes, all_time, always=True)
     base = Certainty(model, None)

@@ -575,7 +575,9 @@ class World:
         """Apply inputs; return the costs of the step. Twice as many columns: inputs, and these with disturbances."""
         model, z = self.model, self.z
         if u.shape[1] > model.m:
-            joint, weight = np.hstack([z[:, : model.n], u[:, model.m :], u[:, : model.m]]), model.pushed
+            there, steady = z[:, model.n :] @ model.X.T, z[:, model.n :] @ model.U.T
+            joint = np.hstack([z[:, : model.n] - there, u[:, model.m :] - steady, u[:, : model.m] - steady])
+            weight = model.pushed
         else:
             joint, weight = np.hstack([z, u]), model.stage
         given, u = u[:, : model.m], u[:, -model.m :]

@@ -332,8 +332,8 @@ def resolved(tables: Tables, model: Model) -> Model:
 
     if "weights" not in tables["cost"]:
         return model
-    if model.continuous:
-        raise NotModelledError("weights as the controller of a continuous plant")
+    if model.continuous or model.s:
+        raise NotModelledError("weights as the controller of a continuous plant, or with changing set-points")
     Q, R, N = weights_as_kept(tables, model)
     n, m, size = model.n, model.m, len(model.A)
     stage, pushed = np.zeros_like(model.stage), np.zeros_like(model.pushed)
@@ -341,7 +341,8 @@ def resolved(tables: Tables, model: Model) -> Model:
     stage[:n, size:], stage[size:, :n] = N, N.T
     pushed[:n, :n], pushed[n + m :, n + m :] = Q, R
     pushed[:n, n + m :], pushed[n + m :, :n] = N, N.T
-    return replace(model, Q=Q, R=R, N=N, stage=stage, pushed=pushed)
+    terminal = model.terminal if "terminal" in tables["cost"] else Q
+    return replace(model, Q=Q, R=R, N=N, stage=stage, pushed=pushed, terminal=terminal)
 
 
 def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:

@@ -78,7 +78,7 @@ ROUTES: dict[str, Callable[[Path, int], str | None]] = {
     "show": command("show"),
     "show --json": command("show", "--json"),
     "show --wire": command("show", "--wire"),
-    "simulate": command("simulate", "--ticks", "5", "--json"),
+    "simulate": command("simulate", "--steps", "5", "--json"),
     "nodes": call(run_nodes),
     "export --c": call(lambda problem, folder, seed: taciturn.export_c(problem, folder / "exported")),
     "export --fmu": call(lambda problem, folder, seed: taciturn.export_fmu(problem, folder / "exported.fmu")),

@@ -105,6 +105,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "controller": ("proportional and integral", "PID", "linear controller"),
     "pid": ("proportional and integral", "PID"),
     "reference": ("set-point",),
+    "every path": ("every path", "proportional and integral", "PID", "linear controller"),
 }
 """What some features need beside them, from which one is drawn."""
 REQUIRED: Mapping[str, str] = {
@@ -113,6 +114,8 @@ REQUIRED: Mapping[str, str] = {
     "shares": "nodes", "weights of the set-point": "pid", "tracking time": "pid", "start input": "pid",
     "no drift": "controller", "stated drift": "controller", "weights as the controller": "controller",
     "controller's set-point": "controller", "controller per second": "linear",
+    "bank": "every path", "relative bank": "every path", "relative bank of a share": "every path",
+    "threshold of silence": "every path", "spending": "every path", "range of gains": "every path",
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
     "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
@@ -125,6 +128,8 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "kind integral": ("continuous", "measured state"), "kind optimal": ("measured state",),
     "kind event-pid": ("PID",), "kind event-pid-saturated": ("PID",),
     "kind symmetric-send-on-delta": ("proportional and integral",),
+    "relative bank": ("variances",), "relative bank of a share": ("variances",),
+    "each link for itself": ("two inputs", "two actuators", "every path"),
 }  # fmt: skip
 KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "horizon": ("excess", "remote-lqg", "lossy-lqg"), "discount": ("excess", "remote-lqg"),
@@ -135,17 +140,25 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "losses": ("lossy-lqg", "distributed", "excess"), "acknowledged losses": ("excess", "lossy-lqg"),
     "acknowledged losses of sensors": ("excess", "lossy-lqg"), "bursts": ("excess", "lossy-lqg"),
     "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
-    "delay": ("lossy-lqg",), "proportional and integral": ("excess", "send-on-delta"), "PID": ("excess", "event-pid"),
-    "proportional": ("excess", "send-on-delta"), "gain": ("excess", "send-on-delta"),
-    "linear controller": ("excess", "send-on-delta"), "linear controller that is told": ("excess", "send-on-delta"),
-    "positive sign": ("excess", "send-on-delta"), "predicted probes": ("distributed",), "joint": ("distributed",),
-    "shares": ("distributed", "send-on-delta"), "sensor decides": ("excess", "send-on-delta"),
-    "actuator link": ("send-on-delta", "excess"), "slower base": ("excess",), "gains for losses": ("excess",),
-    "retry": ("excess",), "separate trigger": ("lqg",), "error of the state": ("absolute",),
-    "threshold itself": ("excess", "consistent", "distributed"), "a cycle": ("periodic",),
-    "controller at the actuator": ("remote-lqg",), "controller at the sensor": ("remote-lqg",),
-    "longest silence": ("event-pid",),
+    "delay": ("lossy-lqg",), "proportional and integral": ("excess", "send-on-delta", "distributed"),
+    "PID": ("excess", "event-pid", "distributed"), "proportional": ("excess", "send-on-delta", "distributed"),
+    "gain": ("excess", "send-on-delta", "distributed"),
+    "linear controller": ("excess", "send-on-delta", "distributed"),
+    "linear controller that is told": ("excess", "send-on-delta", "distributed"),
+    "positive sign": ("excess", "send-on-delta", "distributed"), "predicted probes": ("distributed",),
+    "joint": ("distributed",), "shares": ("distributed", "send-on-delta"),
+    "sensor decides": ("excess", "send-on-delta"), "actuator link": ("send-on-delta", "excess"),
+    "slower base": ("excess",), "gains for losses": ("excess",), "retry": ("excess",), "separate trigger": ("lqg",),
+    "error of the state": ("absolute",), "threshold itself": ("excess", "consistent", "distributed"),
+    "a cycle": ("periodic",), "controller at the actuator": ("remote-lqg",),
+    "controller at the sensor": ("remote-lqg",), "longest silence": ("event-pid",), "every path": ("distributed",),
+    "bank": ("distributed",), "relative bank": ("distributed",), "relative bank of a share": ("distributed",),
+    "threshold of silence": ("distributed",), "spending": ("distributed",), "range of gains": ("distributed",),
+    "each link for itself": ("distributed",),
 }  # fmt: skip
+
+FOLLOWED = frozenset({"changes", "outputs to follow"})
+"""Groups of what a given controller has with the kind ``distributed`` alone."""
 
 
 def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -165,6 +178,9 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
                 add(str(rng.choice(NEEDS[need])))
             for partner in PARTNERS.get(name, ()):
                 add(partner)
+    groups = {known[name].group for name in found}
+    if "controller" in groups and groups & FOLLOWED:
+        add("kind distributed")
     wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
     if wishes:
         add(f"kind {rng.choice(wishes)}")

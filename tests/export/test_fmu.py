@@ -191,7 +191,7 @@ def test_a_unit_names_the_set_point_that_is_too_large_and_the_page_lists_all_var
         instance.step(0.0, tick_length(loop))
     assert "setpoint[1] is 1e+39; expected a finite number up to 3.4" in instance.messages[-1]
     instance.close()
-    page = (Path(__file__).parents[2] / "docs" / "fmu.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
     for one in list_variables(loop):
         assert f"`{one.name.partition('_')[0]}" in page, one.name
 

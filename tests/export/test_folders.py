@@ -197,7 +197,9 @@ def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path
 def test_files_of_others_are_not_replaced(name: str, tmp_path: Path) -> None:
     """Nothing is written where one of them would be lost."""
     (tmp_path / name).write_text("# mine, with taciturn\n")
-    with pytest.raises(ProblemError, match=rf"{name} exists and is not from an earlier export; expected a folder"):
+    with pytest.raises(
+        ProblemError, match=rf"{name} already exists and is not from an earlier export; expected a folder"
+    ):
         write(tmp_path, print_folder(two_mass(), "two_mass"))
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "# mine, with taciturn\n"
@@ -317,12 +319,12 @@ def test_a_loop_that_leaves_the_range_of_numbers_is_refused() -> None:
 def test_what_a_device_cannot_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A node with more numbers than the core's data can say."""
     monkeypatch.setitem(node.MOST, "memory", 3)
-    with pytest.raises(ProblemError, match="has 5 entries; expected at most 3 on a device"):
+    with pytest.raises(ProblemError, match="has 5 entries; expected at most 3 entries on a device"):
         print_folder(two_mass(), "two_mass")
     system = make_system(3, 2, 1, 256, False)
     wide = taciturn.close(system.plant, design.lqg(system.plant, system.cost, theta=0.2))
     monkeypatch.undo()
-    with pytest.raises(ProblemError, match="has 256 entries; expected at most 255 on a device"):
+    with pytest.raises(ProblemError, match="has 256 entries; expected at most 255 entries on a device"):
         print_folder(wide, "wide")
 
 
@@ -342,7 +344,9 @@ def test_what_has_no_nodes_is_refused(tmp_path: Path) -> None:
 def test_single_precision_is_refused_where_the_loop_does_not_bear_it() -> None:
     """Ten kilometres from the origin it cannot tell tenths of a millimetre apart; at a metre it can."""
     assert bear_single(hovering(1.0)).precision == "float32"
-    with pytest.raises(ProblemError, match=r"precision is 'float32', in which the loop costs .*'; expected 'float64'"):
+    with pytest.raises(
+        ProblemError, match=r"precision is 'float32', with which the cost of the loop is .*'; expected 'float64'"
+    ):
         bear_single(hovering(1e4))
 
 

@@ -182,7 +182,7 @@ def test_a_library_of_others_is_not_replaced(name: str, tmp_path: Path) -> None:
     """Nor a file where a folder is to be; then nothing is written."""
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text('{ "name": "mine" }\n')
-    with pytest.raises(ProblemError, match=rf"{name} exists and is not from an earlier export"):
+    with pytest.raises(ProblemError, match=rf"{name} already exists and is not from an earlier export"):
         write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / name]
 

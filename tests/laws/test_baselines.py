@@ -224,7 +224,7 @@ def test_notes_say_why_there_is_no_bound() -> None:
     ("build", "words"),
     [
         (lambda p, c: design.absolute(p, c, threshold=-1.0), "threshold is -1"),
-        (lambda p, c: design.absolute(p, c, threshold=1.0, weight=[[0.0]]), "weight is zero"),
+        (lambda p, c: design.absolute(p, c, threshold=1.0, weight=[[0.0]]), "all entries of weight are 0"),
         (lambda p, c: design.absolute(p, c, threshold=1.0, weight=np.eye(2)), "weight has shape (2, 2)"),
         (lambda p, c: design.absolute(p, c, threshold=1.0, error="output"), "error is 'output'"),
         (lambda p, c: design.dynamic(p, c, sigma=0.1, rho=0.5, gain=1.0), "expected a gain of at least 1/rho = 2"),
@@ -236,7 +236,7 @@ def test_notes_say_why_there_is_no_bound() -> None:
         (lambda p, c: design.rollout(p, c, horizon=4, every=1), "every is 1"),
         (lambda p, c: design.periodic_schedule(p, c, length=3, sends=4), "at most as many sends as steps"),
         (lambda p, c: design.periodic_schedule(p, c, length=40, sends=20), "expected at most 2000"),
-        (lambda p, c: design.stochastic(p, c, weight=[[0.0]]), "weight is zero"),
+        (lambda p, c: design.stochastic(p, c, weight=[[0.0]]), "all entries of weight are 0"),
         (lambda p, c: design.stochastic(p, c, scale=0.0), "scale is 0"),
         (lambda p, c: design.variance(p, c, threshold=-1.0), "threshold is -1"),
         (lambda p, c: design.send_on_delta(p, c, delta=-1.0), "delta is -1"),

@@ -12,9 +12,23 @@ from export.devices import needs_compiler
 from runtime.loops import differing_ticks, record
 from systems import make_system, well_posed
 
-from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, average, close, design, export_c, load, simulate
+from taciturn import (
+    PID,
+    ContinuousPlant,
+    Cost,
+    Disturbance,
+    Network,
+    Plant,
+    Problem,
+    average,
+    close,
+    design,
+    export_c,
+    load,
+    simulate,
+)
 from taciturn.base.certainty import design_certainty
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
 from taciturn.model.network import NodeRole
@@ -42,7 +56,8 @@ def test_a_kind_that_does_not_use_changing_set_points_says_so_of_any_nodes() -> 
         tank.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], changes=Timetable([0, 30, 60], [[0, 0], [2, -1], [0, 0]])
     )
     with pytest.raises(
-        ProblemError, match=r"the set-points change \(reference.steps or file\), which send-on-delta does"
+        ProblemError,
+        match=r"the set-points change \(reference.steps or reference.file\), which the policy kind send-on-delta does",
     ):
         design.send_on_delta(plant, tank.cost, delta=0.1, network=tank.network, period=4.0)
 
@@ -93,6 +108,62 @@ def test_set_points_that_change_cost_their_transients(changes: RandomSteps | Tim
     assert squares.value < policy.cost_all_time + 0.1
 
 
+@pytest.mark.parametrize("times", [[0, 3, 6], [0, 4, 5, 12]])
+def test_a_given_controller_meets_a_change_before_the_last_one_is_over(times: list[int]) -> None:
+    """The cost with every sample is that of the noise plus that of the path without noise, step by step."""
+    A, B, C, W, V = np.array([[0.9, 0.2], [0, 0.7]]), np.array([0.1, 0.5]), np.array([[1.0, 0]]), 0.1 * np.eye(2), 0.2
+    levels = np.array([0.0, 1, -2, 0][: len(times) - 1])
+    kept = PID(0.4, 0.1, disturbance=Disturbance(deviation=0.0))
+    plant, cost = Plant(A, B[:, None], W, C, [[V]], dt=1.0), Cost(np.diag([1.0, 0]), [[0.5]])
+    steps = Timetable(times, [[level] for level in (*levels, levels[0])])
+    policy = design.distributed(follow(plant, C, None, [], steps), cost, theta=0.5, controller=kept)
+    noise = design.distributed(plant, cost, theta=0.5, controller=kept)
+    x, integral, total, cycle = np.zeros(2), 0.0, 0.0, times[-1]
+    per_level = 0.1 / (0.1 + 0.2 * 0.5 / 0.3)  # input that holds the output at 1
+    for k in range(60 * cycle):
+        r = levels[np.searchsorted(times, k % cycle, side="right") - 1]
+        u = 0.4 * (r - x[0]) + 0.1 * integral
+        total += ((x[0] - r) ** 2 + 0.5 * (u - per_level * r) ** 2) * (k >= 59 * cycle)
+        x, integral = A @ x + B * u, integral + r - x[0]
+    assert noise.cost_all_time is not None
+    assert policy.cost_all_time == pytest.approx(noise.cost_all_time + total / cycle, rel=1e-9)
+
+
+def test_a_controller_that_cannot_reach_set_points_is_told_what_it_lacks() -> None:
+    """Its loop is stable apart from the set-points, so neither its sign nor its gains are wrong."""
+    plant = follow(Plant([[0.9]], [[0.5]], [[0.1]], [[1.0]], [[0.2]]), np.eye(1), (0.0,), [], RandomSteps(0.1, [[1.0]]))
+    with pytest.raises(UnstableError, match="set-points that change also need a controller that integrates"):
+        design.distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.5, controller=[[0.5]])
+
+
+def test_a_feedthrough_is_named_where_a_given_controller_follows_set_points(tmp_path: Path) -> None:
+    """The file lists no outputs of set-points, so none of these is at fault."""
+    text = """
+        [plant]
+        A = [[0.9]]
+        B = [[0.5]]
+        C = [[1.0]]
+        D = [[0.1]]
+        W = [[0.1]]
+        V = [[0.2]]
+        dt = 1.0
+        [reference]
+        steps = {rate = 0.1, covariance = [[1.0]]}
+        [cost]
+        Q = [[1.0]]
+        R = [[1.0]]
+        [policy]
+        kind = "distributed"
+        theta = 0.5
+        """
+    kept = "[controller]\npid = {kp = 0.3, ki = 0.1}\n"
+    (tmp_path / "problem.toml").write_text(text + kept, encoding="utf-8")
+    with pytest.raises(ProblemError, match=r"plant\.D is given, and the set-points change"):
+        load(tmp_path / "problem.toml").design()
+    (tmp_path / "problem.toml").write_text(text + "guarantee = 'every path'\n", encoding="utf-8")
+    assert load(tmp_path / "problem.toml").design().guarantee is not None
+
+
 @pytest.mark.parametrize("pace", [1, 4])
 def test_a_schedule_of_measurements_costs_the_transients_of_a_timetable(pace: int) -> None:
     """Errors of the estimate do not depend on set-points, so the means cost what they do without noise."""
@@ -123,7 +194,7 @@ def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, st
     assert policy.guarantee is not None
     assert policy.cost_all_time is not None
     assert policy.cost_all_time < found.cost.value < policy.guarantee.cost
-    path = simulate(close(plant, policy), ticks=20_000, seed=3)
+    path = simulate(close(plant, policy), steps=20_000, seed=3)
     apart = path.state[:, :3] @ C.T - path.state[:, -2:]
     means = apart.reshape(50, -1, 2).mean(axis=1)
     assert (np.abs(means.mean(axis=0)) < 4 * means.std(axis=0, ddof=1) / np.sqrt(50)).all()
@@ -190,8 +261,8 @@ def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
         assert plant.exosystem is not None
         assert plant.exosystem.W[-1, -1] == pytest.approx(noise)
     for reference, words in (
-        ({"steps": steps, "file": path}, "reference.steps and reference.file are given"),
-        ({"file": path, "value": [1.0]}, "reference.value and reference.file are given"),
+        ({"steps": steps, "file": path}, "reference.steps and reference.file are both given"),
+        ({"file": path, "value": [1.0]}, "reference.value and reference.file are both given"),
         ({"file": "none.csv"}, "'none.csv' cannot be read"),
         ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
         ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
@@ -326,24 +397,26 @@ def test_what_set_points_that_change_are_refused() -> None:
     """A timetable that would shift, disturbances that would be replaced, and thresholds that would grow."""
     tank = ContinuousPlant([[-1.0]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
     cost, table = Cost([[1.0]], [[1.0]]), Timetable([0, 10, 20], [[0.0], [1.0], [0.0]])
-    with pytest.raises(ProblemError, match=r"reference.file lasts 20, .* step 0.3, .*; expected for example 20.1"):
+    with pytest.raises(ProblemError, match=r"reference.file lasts 20, .* step 0.3, .*; expected, for example, 20.1"):
         design.lqg(follow(tank, changes=table), cost, theta=0.1, period=0.3)
-    with pytest.raises(ProblemError, match="already has disturbances or set-points; expected all of them in one call"):
+    with pytest.raises(ProblemError, match="already has disturbances or set-points; expected a plant without them"):
         follow(follow(tank, changes=table), value=[1.0])
-    with pytest.raises(ProblemError, match=r"size of the state, which grows with them; expected a trigger with"):
+    with pytest.raises(
+        ProblemError, match=r"size of the state, which grows with disturbances and set-points; expected a trigger with"
+    ):
         design.relative(follow(tank, value=[1.0]), cost, sigma=0.1, period=0.5)
-    with pytest.raises(ProblemError, match=r"disturbance\.enters and measured are zero"):
+    with pytest.raises(ProblemError, match=r"disturbance\.enters and disturbance\.measured are zero"):
         ExternalDisturbance([0.0], 1e-3)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("# seconds, level\n0, 1\n\n5, x\n", "column 2 of line 4 is 'x', which is no finite number"),
-        ("0, 1\r\n5, nan\r\n", "column 2 of line 2 is 'nan', which is no finite number"),
+        ("# seconds, level\n0, 1\n\n5, x\n", "column 2 of line 4 is 'x', which is not a finite number"),
+        ("0, 1\r\n5, nan\r\n", "column 2 of line 2 is 'nan', which is not a finite number"),
         (
             "time, level\n0, 1\n",
-            "column 1 of line 1 is 'time', which is no finite number); expected rows .* without a header",
+            "column 1 of line 1 is 'time', which is not a finite number); expected rows .* without a header",
         ),
         ("\n\n0, 1\n# held\n5, 2, 3\n", "line 5 has 3 columns, and line 3 has 2"),
         ("", "at least two times"),

@@ -58,7 +58,7 @@ def check_no_scheduler_beats_the_bound(
             capacity=capacity,
             scheduler=scheduler,  # pyright: ignore[reportArgumentType]
             seed=seed,
-            ticks=ticks,
+            steps=ticks,
             confidence=0.999 if bound is None else 0,
         )
         bound = found.lower_bound or bound
@@ -151,7 +151,7 @@ def test_whole_plants_with_their_filters_cost_what_errors_alone_say(scheduler: s
     costs = {"slow": taciturn.Cost(np.eye(2), [[0.3]], [[0.1], [0.0]]), "fast": taciturn.Cost([[1.0]], [[0.1]])}
     problems = {name: Problem(plants[name], costs[name], Network(), "all-time", {}) for name in plants}
     copies, capacity = [4, 3], 2
-    found: Sharing = share_channel(problems, copies=copies, capacity=capacity, scheduler=scheduler, ticks=4000)  # pyright: ignore[reportArgumentType]
+    found: Sharing = share_channel(problems, copies=copies, capacity=capacity, scheduler=scheduler, steps=4000)  # pyright: ignore[reportArgumentType]
     plain = np.array(by_hand(problems, copies, capacity, scheduler, 300))
     spread = np.hypot(plain.std(ddof=1) / np.sqrt(len(plain)), found.cost.standard_error)
     assert abs(plain.mean() - found.cost.value) < 4 * spread

@@ -133,12 +133,15 @@ Q, R = np.eye(2), [[1.0]]
     [
         ({"period": 0.0}, "period is 0; expected 0 < period"),
         ({"delta": -1.0}, "delta is -1; expected 0 ≤ delta"),
-        ({"cost": Cost(Q, R, horizon=9)}, "cost.horizon is 9, which consistent does not use"),
-        ({"cost": Cost(Q, R, discount=0.9)}, "cost.discount is 0.9, which consistent does not use"),
-        ({"plant": Plant(Q, Q, Q)}, "the plant is discrete in time, but consistent predicts in continuous time; "),
+        ({"cost": Cost(Q, R, horizon=9)}, "cost.horizon is 9, which the policy kind consistent does not use"),
+        ({"cost": Cost(Q, R, discount=0.9)}, "cost.discount is 0.9, which the policy kind consistent does not use"),
+        (
+            {"plant": Plant(Q, Q, Q)},
+            "the plant is discrete in time, but the policy kind consistent predicts in continuous time; ",
+        ),
         (
             {"plant": ContinuousPlant(*SEEN)},
-            "C or V is given, but consistent measures the full state; expected neither",
+            "C or V is given, but the policy kind consistent measures the full state; expected neither",
         ),
     ],
 )
@@ -199,7 +202,11 @@ def test_a_clipped_input_that_changes_between_looks_is_refused(kind: str) -> Non
         assert isinstance(policy, Policy)
         return policy
 
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], but the input changes between steps"):
+    with pytest.raises(
+        ProblemError, match=r"input_limit is \[2.0\], but the input of this policy changes between steps"
+    ):
         close(clipped, designed(free))
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], but the input changes between steps"):
+    with pytest.raises(
+        ProblemError, match=r"input_limit is \[2.0\], but the input of this policy changes between steps"
+    ):
         designed(clipped)

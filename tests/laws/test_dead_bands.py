@@ -16,7 +16,7 @@ from measured import average, times
 import taciturn
 from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Plant, ProblemError, close, design
 from taciturn.base.certainty import CertaintyEquivalentDesign, design_certainty
-from taciturn.design.dead_bands import FilteredSteps
+from taciturn.design.around_controller import FilteredSteps
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.gain import largest_gain
@@ -230,7 +230,7 @@ def test_modes_without_cost_do_not_count() -> None:
     A, B = np.diag([0.5, 1.0]), np.ones((2, 1))
     assert largest_gain(A, B, np.array([[1.0, 0.0]]), np.zeros((1, 1))) == pytest.approx(2.0, rel=1e-6)
     assert largest_gain(A, np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), np.full((1, 1), 3.0)) == 3.0
-    with pytest.raises(UnstableError, match="has a mode of modulus 1 that reaches the cost"):
+    with pytest.raises(UnstableError, match="has a mode of modulus 1 that affects the cost"):
         largest_gain(A, B, np.ones((1, 2)), np.zeros((1, 1)))
 
 
@@ -256,8 +256,10 @@ def test_certify_shows_the_gains_of_several_links() -> None:
     assert list(found.document()["errors"]) == ["s1", "s2", "v1", "v2"]
     assert found.errors_bound == policy.guarantee.cost  # type: ignore[union-attr]
     assert "conservative" in str(found)
-    assert found.notes[0].startswith("only the gains from errors are available: send-on-delta makes 4 decisions")
-    with pytest.raises(ProblemError, match="makes 4 decisions"):
+    assert found.notes[0].startswith(
+        "only the gains from errors are available: the policy send-on-delta makes 4 send decisions"
+    )
+    with pytest.raises(ProblemError, match="makes 4 send decisions"):
         taciturn.certify(design.distributed(plant, Cost(np.eye(2), np.eye(2)), theta=0.1, network=network))
 
 
@@ -279,16 +281,16 @@ def test_with_a_vanishing_threshold_the_base_is_lqg_in_spite_of_any_disturbance(
 
 
 def test_what_dead_bands_cannot_have_is_refused() -> None:
-    """A link beside nodes of one's own, shares with one link, a set-point on several links."""
+    """A link beside named nodes, shares with one link, a set-point on several links."""
     network = Network(nodes=NODES)
     plant = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2), np.eye(2), np.eye(2))
     cost = Cost(np.eye(2), np.eye(2))
-    with pytest.raises(ProblemError, match="link is 'actuator' with nodes of one's own"):
+    with pytest.raises(ProblemError, match="link = 'actuator' is given for a network with named nodes"):
         design.send_on_delta(plant, cost, delta=0.1, link="actuator", network=network)
     with pytest.raises(ProblemError, match="shares is given with a controller or a link"):
         design.send_on_delta(plant, cost, delta=0.1, controller=-0.5 * np.eye(2), shares={"sensor": 2.0})
     moved = Controller(np.eye(2), 0.1 * np.eye(2), -np.eye(2), -0.5 * np.eye(2), setpoint=[1.0, 0.0])
-    with pytest.raises(ProblemError, match="the controller has a set-point, and packets are sent on 4 links"):
+    with pytest.raises(ProblemError, match="the policy sends packets on 4 links, but the controller has a set-point"):
         design.send_on_delta(plant, cost, delta=0.1, controller=moved, network=network)
 
 
@@ -336,7 +338,7 @@ def test_mistakes_in_python_are_sentences() -> None:
     """Shares that are no mapping, a cost that is none, and no rates by link."""
     plant, cost = Plant([[0.9]], [[1.0]], [[1.0]], dt=0.1), Cost([[1.0]], [[1.0]])
     wrong: Any = [1, 2]
-    with pytest.raises(ProblemError, match=r"^shares is \[1, 2\]; expected a number for each link, such as {'sensor'"):
+    with pytest.raises(ProblemError, match=r"^shares = \[1, 2\]; expected one number for each link, such as {'sensor'"):
         design.send_on_delta(plant, cost, delta=0.1, shares=wrong)
     with pytest.raises(ProblemError, match="cost is None; expected a Cost"):
         design.send_on_delta(plant, cast("Any", None), delta=0.1, controller=taciturn.PID(0.3))

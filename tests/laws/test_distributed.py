@@ -288,20 +288,20 @@ def test_many_links_that_drop_packets_have_too_many_outcomes() -> None:
         ({"theta": -1.0}, "theta is -1; expected 0 ≤ theta"),
         (
             {"theta": 0.1, "shares": {"motor": 1.0}},
-            "shares.motor is 1.0, but no packets are decided on this link; expected shares of sensor-1",
+            "shares.motor is 1.0, but the policy makes no send decisions on this link; expected shares only",
         ),
-        ({"theta": 0.1, "shares": [1, 2]}, r"^shares is \[1, 2\]; expected a number for each link, such as"),
-        ({"theta": 0.1, "shares": dict.fromkeys(two_masses()[2].links, 0.0)}, "shares is 0 for all links"),
+        ({"theta": 0.1, "shares": [1, 2]}, r"^shares = \[1, 2\]; expected one number for each link, such as"),
+        ({"theta": 0.1, "shares": dict.fromkeys(two_masses()[2].links, 0.0)}, "shares = 0 for all links"),
         ({"theta": 0.1, "joint": 1}, "joint is 1; expected true or false"),
-        ({"theta": 0.1, "prediction": "zero"}, "prediction is 'zero'; expected one of 'hold', 'model'"),
-        ({"theta": 0.1, "network": Network(delay=1)}, "network.delay is 1; expected 0"),
+        ({"theta": 0.1, "prediction": "zero"}, "prediction is 'zero'; expected one of the words 'hold', 'model'"),
+        ({"theta": 0.1, "network": Network(delay=1)}, "network.delay is 1; expected a delay of 0 steps"),
         ({"theta": 0.1, "network": Network(nodes={"plc": NodeRole(True, True, True)})}, "no link decides"),
         (
             {
                 "theta": 0.1,
                 "network": Network(nodes={"plc": NodeRole((0,), False, True), "pumps": NodeRole(applies=True)}),
             },
-            "output 1 of the plant belongs to no node; expected one node that measures it",
+            "the plant's output with the index 1 belongs to no node; expected exactly one node that measures it",
         ),
     ],
 )
@@ -332,5 +332,5 @@ def test_an_outage_of_one_sensor_is_no_reason_if_another_one_shows_the_growing_m
     policy_cost = found(duct=0.97)
     assert 0 < policy_cost.value < 2
     for link in ("room", "valve"):
-        with pytest.raises(UnstableError, match=f"an outage of the {link} link|the mean square of the loop"):
+        with pytest.raises(UnstableError, match=f"an outage of the {link} link|the mean square of the state"):
             found(**{link: 0.97})

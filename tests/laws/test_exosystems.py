@@ -236,7 +236,7 @@ def test_no_kind_leaves_an_offset(kind: str) -> None:
     assert e is not None
     still = Exosystem(e.S, e.E, e.G, 0.0 * e.W, np.array([3.0, 1.0, -2.0]), e.outputs, e.F)  # it does not move
     plant = Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2), exosystem=still)
-    path = simulate(close(plant, policies(1.0, -2.0)[kind]), ticks=40_000, seed=3)
+    path = simulate(close(plant, policies(1.0, -2.0)[kind]), steps=40_000, seed=3)
     outputs = path.state[500:, :3] @ C.T
     means = outputs[: len(outputs) // 50 * 50].reshape(50, -1, 2).mean(axis=1)
     error = means.std(axis=0, ddof=1) / np.sqrt(50)
@@ -247,7 +247,12 @@ def test_no_kind_leaves_an_offset(kind: str) -> None:
 @pytest.mark.parametrize(
     ("disturbances", "outputs", "error", "words"),
     [
-        ([PUSH, ExternalDisturbance([0, 0.1, 0.3], 1e-3)], C[:1], ProblemError, "do not show every disturbance"),
+        (
+            [PUSH, ExternalDisturbance([0, 0.1, 0.3], 1e-3)],
+            C[:1],
+            ProblemError,
+            "are not observable from the measured outputs",
+        ),
         (
             [PUSH],
             np.eye(3),
@@ -279,7 +284,7 @@ def test_what_cannot_be_compensated_or_seen_is_refused(
         ),
         (
             lambda plant: design.distributed(plant, COST, theta=0.1, network=Network("tcp", sensor_loss=0.1)),
-            "network.sensor_loss is given, and disturbances or set-points too",
+            "network.sensor_loss is given together with disturbances or set-points",
         ),
         (
             lambda plant: certify(Problem(plant, COST, Network(), "excess", {"delta": 0.1})),
@@ -325,7 +330,7 @@ def test_a_failing_computation_with_matrices_is_a_sentence() -> None:
     problem = Problem(plant_with(), COST, Network(), "excess", {"delta": 0.1})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taciturn.design.kinds.excess.discretise", fails)
-        with pytest.raises(ProblemError, match=r"fails \(SVD did not converge\); expected numbers nearer to 1"):
+        with pytest.raises(ProblemError, match=r"fails \(SVD did not converge\); expected numbers closer to 1"):
             problem.designed()
 
 
@@ -388,14 +393,20 @@ PUSHED = {"enters": [1.0], "kind": "sinusoid", "wander": 1e-3}
         ({"disturbance": [{"enters": [1.0]}]}, r"disturbance\[0\].wander is missing; expected it in each \[\[disturb"),
         ({"disturbance": [PUSHED | {"size": 1}]}, r"disturbance\[0\].size is not a known key; expected one of enters"),
         ({"disturbance": PUSHED}, r"\[disturbance\] is a single table; expected \[\[disturbance\]\] for each"),
-        ({"disturbance": [PUSHED | {"frequency": 4.0}]}, "frequency is 4; expected below π radians per step"),
+        (
+            {"disturbance": [PUSHED | {"frequency": 4.0}]},
+            "frequency is 4; expected a frequency below π radians per step",
+        ),
         ({"reference": {"integral_action": ["sensor", "sensor"]}}, "names 'sensor' twice"),
-        ({"reference": {"outputs": [[1.0, 0.0]]}}, "reference.outputs has 2 columns; expected 1, one per state"),
+        (
+            {"reference": {"outputs": [[1.0, 0.0]]}},
+            "reference.outputs has 2 columns; expected 1 column, one for each state",
+        ),
         ({"cost.horizon": 5}, "the cost has a horizon; expected an average cost"),
         ({"cost.discount": 0.9}, "the cost is discounted; expected an average cost"),
         (
             {"policy": {"kind": "event-pid", "delta": 0.1, "longest": 2.0}},
-            r"\[controller\] is missing, which event-pid",
+            r"\[controller\] is missing, which the policy kind event-pid",
         ),
     ],
 )
@@ -456,7 +467,7 @@ def test_a_ramp_has_no_average_in_any_units(size: float) -> None:
         ),
         (
             ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, "sinusoid", 4.0),
-            r"disturbance\[1\].frequency is 4; expected below",
+            r"disturbance\[1\].frequency is 4; expected a frequency below",
         ),
         (ExternalDisturbance([1.0, 0, 0], 1e-3, "matrix", matrix=[[1.1]]), r"disturbance\[1\].matrix has the mode 1.1"),
     ],
@@ -482,7 +493,7 @@ def test_a_dead_band_without_noise_leaves_an_offset_below_its_bound() -> None:
         assert e is not None
         still = Exosystem(e.S, e.E, e.G, 0.0 * e.W, np.array([2.0, 1.0, -2.0]), e.outputs, e.F)
         quiet = Plant(A, B, np.zeros((3, 3)), C, np.zeros((2, 2)), mean=start, exosystem=still)
-        path = simulate(close(quiet, policy), ticks=3_000)
+        path = simulate(close(quiet, policy), steps=3_000)
         assert not path.sends["actuator"][-500:].any() or np.ptp(path.state[-500:, :3], axis=0).max() < 1
         offsets.append(np.abs(path.state[-500:, :3] @ C.T - [1.0, -2.0]).max(axis=0))
     assert (np.array(offsets) <= bound * (1 + 1e-9)).all()

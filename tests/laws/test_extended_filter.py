@@ -64,7 +64,7 @@ def test_from_its_steady_covariance_it_decides_as_the_steady_filter(system: Syst
     policy, plant = designed(system), system.plant
     prior = steady_filter(plant.A, plant.C, plant.W, plant.V).prior
     loops = [close(plant, one) for one in (policy, extend(policy, prior))]
-    steady, found = (taciturn.simulate(loop, ticks=100, seed=seed) for loop in loops)
+    steady, found = (taciturn.simulate(loop, steps=100, seed=seed) for loop in loops)
     size = 1 + np.abs(steady.estimate).max()
     np.testing.assert_allclose(found.estimate, steady.estimate, rtol=0, atol=1e-7 * size)
     assert (found.sends["actuator"] == steady.sends["actuator"]).all()

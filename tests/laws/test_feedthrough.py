@@ -104,7 +104,7 @@ def test_an_output_shows_the_input_that_the_plant_applied_in_the_step_before(nam
     plant, given = CASES[name]
     cost = given.get("cost", COST)
     policy = design.excess(plant, cost, theta=0.3, **{key: value for key, value in given.items() if key != "cost"})
-    run = simulate(close(plant, policy), ticks=400, seed=3)
+    run = simulate(close(plant, policy), steps=400, seed=3)
     left = run.measurement - shown(plant, run)
     others = run.measurement - run.state[:, : plant.states] @ plant.C.T
     assert run.input.any()
@@ -178,13 +178,13 @@ def test_set_points_are_those_of_the_measured_outputs() -> None:
     quiet = Plant(0.7 * A, B, QUIET * np.eye(2), C, [[QUIET]], dt=1.0, D=D)
     for outputs, value in ((None, 2.0), ([[1.0, 0.0]], 2.0)):
         plant = follow(quiet, outputs, [value])
-        run = simulate(close(plant, design.all_time(plant, COST)), ticks=200, seed=1)
+        run = simulate(close(plant, design.all_time(plant, COST)), steps=200, seed=1)
         reached = run.measurement[-1, 0] if outputs is None else run.state[-1, 0]
         assert reached == pytest.approx(value, abs=1e-6)
         assert abs(run.measurement[-1, 0] - run.state[-1, 0]) > 0.1
     kept = PID(kp=0.1, ki=0.1, setpoint=2.0)
     policy = design.excess(quiet, COST, theta=0.0, controller=kept)
-    run = simulate(close(quiet, policy), ticks=400, seed=1)
+    run = simulate(close(quiet, policy), steps=400, seed=1)
     assert run.measurement[-1, 0] == pytest.approx(2.0, abs=1e-6)
     assert run.state[-1, 0] == pytest.approx(2.0 - 0.7 * run.input[-1, 0], abs=1e-6)
     assert abs(run.input[-1, 0]) > 0.1
@@ -210,7 +210,7 @@ def test_an_operating_point_is_in_the_outputs(steps: bool) -> None:
         D=D,
     )
     nodes = Nodes(design.excess(plant, COST, theta=0.3))
-    run = simulate(close(plant, nodes.policy), ticks=20, seed=1)
+    run = simulate(close(plant, nodes.policy), steps=20, seed=1)
     np.testing.assert_allclose(run.measurement[:, 0], 10.0 + 0.7 * 3.0, atol=1e-6)
     np.testing.assert_allclose(nodes.step([12.1]), [3.0], atol=1e-6)
 
@@ -228,7 +228,7 @@ def test_a_set_point_at_an_operating_point_is_in_the_units_of_the_outputs(kept: 
         policy = design.all_time(plant, COST)
         assert policy.model.operating_point is not None
         assert policy.model.operating_point.x[-1] == pytest.approx(12.1)
-    run = simulate(close(plant, policy), ticks=400, seed=1)
+    run = simulate(close(plant, policy), steps=400, seed=1)
     assert run.measurement[-1, 0] == pytest.approx(14.0, abs=1e-5)
     assert run.measurement[0, 0] == pytest.approx(12.1, abs=1e-5)
     assert run.state[-1, 0] == pytest.approx(14.0 - 0.7 * run.input[-1, 0], abs=1e-5)
@@ -237,7 +237,7 @@ def test_a_set_point_at_an_operating_point_is_in_the_units_of_the_outputs(kept: 
         loop = close(other, design.all_time(one, COST))
         assert loop.violated_assumptions == ("the plant is not the one of the design",)
         expected = 12.1 if other is quiet else 10.0
-        assert simulate(loop, ticks=1, seed=1).measurement[0, 0] == pytest.approx(expected, abs=1e-6)
+        assert simulate(loop, steps=1, seed=1).measurement[0, 0] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("given", few([{"horizon": 12, "terminal": 5 * np.eye(2)}, {"discount": 0.9}], 2))
@@ -258,7 +258,7 @@ def test_the_input_before_the_start_is_in_the_first_measurement() -> None:
     """It is start_input of a given controller, which then begins without a step of its command."""
     plant = Plant(0.7 * A, B, QUIET * np.eye(2), C, [[QUIET]], dt=1.0, D=D)
     kept = PID(kp=0.1, ki=0.1, start_input=0.5, disturbance=taciturn.Disturbance(deviation=0.0))
-    run = simulate(close(plant, design.excess(plant, COST, theta=0.0, controller=kept)), ticks=5, seed=1)
+    run = simulate(close(plant, design.excess(plant, COST, theta=0.0, controller=kept)), steps=5, seed=1)
     assert run.measurement[0, 0] == pytest.approx(0.7 * 0.5, abs=1e-6)
     assert run.input[0, 0] == pytest.approx(0.5, abs=1e-6)
     np.testing.assert_allclose(run.measurement, shown(plant, run, 0.5), atol=1e-6)
@@ -272,7 +272,7 @@ def test_the_simulated_plant_may_have_another_feedthrough() -> None:
         cost = Cost(np.eye(2), np.eye(actual.inputs))
         loop = close(actual, design.excess(designed, cost, theta=0.3))
         assert loop.violated_assumptions == ("the plant is not the one of the design",)
-        run = simulate(loop, ticks=300, seed=4)
+        run = simulate(loop, steps=300, seed=4)
         expected = shown(actual, run) if actual.D is not None else run.state[:, :2] @ C.T
         assert (run.measurement - expected).std() == pytest.approx(np.sqrt(V[0, 0]), rel=0.15)
 
@@ -328,8 +328,8 @@ def changed(**plant: Any) -> dict[str, Any]:
     ("tables", "sentence"),
     [
         (changed(C=None, V=None), "D is given without C; expected C (and V), as a direct feedthrough adds to measured"),
-        (changed(D=[[0.7], [0.1]]), "D has shape (2, 1); expected (1, 1) = (outputs, inputs)"),
-        ({**TABLES, "limits": {"high": [1.0]}}, "limits.outputs is missing, and the measured outputs have a direct"),
+        (changed(D=[[0.7], [0.1]]), "D has shape (2, 1); expected the shape (1, 1) = (outputs, inputs)"),
+        ({**TABLES, "limits": {"high": [1.0]}}, "limits.outputs is missing, but the measured outputs have a direct"),
     ],
 )
 def test_what_a_feedthrough_cannot_have_is_one_sentence(tables: dict[str, Any], sentence: str) -> None:
@@ -351,7 +351,7 @@ def test_kinds_that_cannot_have_a_feedthrough_refuse_it_by_name() -> None:
     predicting = ContinuousPlant([[0.1]], [[1.0]], [[1.0]])
     with pytest.raises(ProblemError, match="feedthrough D, and the actuator predicts between sampling instants; expec"):
         close(plant, design.consistent(predicting, scalar, period=0.1))
-    with pytest.raises(ProblemError, match="C or V is given, but lossy-lqg measures the full state"):
+    with pytest.raises(ProblemError, match="C or V is given, but the policy kind lossy-lqg measures the full state"):
         design.lossy_lqg(FED, COST, price=0.1, network=Network("udp", 0.1, 0.1))
 
 
@@ -360,7 +360,7 @@ def test_registers_are_no_states_of_the_user() -> None:
     policy = design.excess(FED, COST, theta=0.3)
     assert policy.model.stated == FED.states == 2
     assert policy.model.states == 3
-    run = simulate(close(FED, policy), ticks=50, seed=1)
+    run = simulate(close(FED, policy), steps=50, seed=1)
     np.testing.assert_array_equal(run.state[1:, 2], run.input[:-1, 0])
 
 

@@ -209,7 +209,10 @@ REFUSED = [
         {"slope": 0.1, "plant": STABLE, "cost": Cost([[1.0]], [[1.0]]), "h_max": np.inf},
         "no slope is admissible: the threshold f increases",
     ),
-    ({"slope": 5.0, "cost": Cost(np.eye(2), [[10.0]], horizon=3)}, "cost.horizon is 3, which integral does not use"),
+    (
+        {"slope": 5.0, "cost": Cost(np.eye(2), [[10.0]], horizon=3)},
+        "cost.horizon is 3, which the policy kind integral does not use",
+    ),
     ({"slope": 5.0, "plant": ContinuousPlant(DOUBLE.A, DOUBLE.B, np.zeros((2, 2)))}, "the noise causes no error "),
 ]
 
@@ -241,7 +244,9 @@ def test_a_policy_without_ticks_is_evaluated_and_has_no_loop() -> None:
     assert document["cost"]["value"] < document["cost_bound_at_rate"] <= document["cost_bound"]
     assert document["mean_interval"]["value"] * document["rates"]["sensor"]["value"] == pytest.approx(1)
     clipped = parse({**tables, "plant": {**tables["plant"], "input_limit": [1.0]}}, "here")
-    with pytest.raises(ProblemError, match=r"plant.input_limit is given, which integral without a period does not use"):
+    with pytest.raises(
+        ProblemError, match=r"plant.input_limit is given, which the policy integral without a period does not use"
+    ):
         taciturn.evaluate(clipped)
     for refused in (problem.design, lambda: taciturn.evaluate(problem, method="exact")):
         with pytest.raises(ProblemError, match=r"expected policy.period|expected 'auto' or 'simulation'"):
@@ -266,7 +271,10 @@ def test_a_weight_that_the_cost_does_not_know_can_lose_and_is_found_to() -> None
     for wrong, sentence in (
         ({}, "period is missing; expected the seconds between checks"),
         ({"period": 0.1, "h_max": 1.0}, "h_max is given with Wiener noise"),
-        ({"period": 0.1, "weight": np.zeros((2, 2))}, "weight is zero for every error that the noise causes"),
+        (
+            {"period": 0.1, "weight": np.zeros((2, 2))},
+            "weight = 0 for every error that the noise causes",
+        ),
     ):
         with pytest.raises(ProblemError, match=sentence):
             find_losses(skewed, weights, levels=levels, **wrong)

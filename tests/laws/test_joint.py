@@ -130,16 +130,36 @@ def test_the_dearer_packet_is_sent_less() -> None:
 @pytest.mark.parametrize(
     ("kind", "parameters", "laws", "sentence"),
     [
-        ("excess", {"theta": 0.1, "actuation": "model"}, {}, "the packets of excess carry more than the input"),
-        ("lqg", {"theta": 0.1, "actuation": "model"}, {}, "the packets of lqg carry more than the input"),
-        ("excess", {"theta": 0.1, "every": 4}, {}, "the base of excess sends at some steps only"),
+        (
+            "excess",
+            {"theta": 0.1, "actuation": "model"},
+            {},
+            "the packets of the policy kind excess carry more than the input",
+        ),
+        (
+            "lqg",
+            {"theta": 0.1, "actuation": "model"},
+            {},
+            "the packets of the policy kind lqg carry more than the input",
+        ),
+        (
+            "excess",
+            {"theta": 0.1, "every": 4},
+            {},
+            "the base policy of the policy kind excess sends only at some steps",
+        ),
         (
             "excess",
             {"theta": 0.1},
             {"v0": LinkLaw(loss=0.1, acknowledged=True)},
-            "links.v0.loss is 0.1, and excess decides on sets of the links v0, v1",
+            "links.v0.loss is 0.1, but the controller of the policy kind excess chooses among sets of the links v0, v1",
         ),
-        ("absolute", {"threshold": 0.1}, {}, "absolute has one actuator node, but the network has v0 and v1"),
+        (
+            "absolute",
+            {"threshold": 0.1},
+            {},
+            "the policy kind absolute has only one actuator node, but the network has v0 and v1",
+        ),
     ],
 )
 def test_what_cannot_decide_on_sets_is_refused(
@@ -167,7 +187,9 @@ def test_too_many_links_are_refused() -> None:
     """Sixteen sets are compared at most."""
     plant, cost, _ = system(1, MOST_LINKS + 1)
     problem = Problem(plant, cost, network_of(MOST_LINKS + 1, np.ones(MOST_LINKS + 1)), "excess", {"theta": 0.1})
-    with pytest.raises(ProblemError, match="decides on the 32 sets of 5 actuator links; expected at most 4 links"):
+    with pytest.raises(
+        ProblemError, match="chooses among the 32 sets of 5 actuator links; expected at most 4 actuator links"
+    ):
         problem.design()
 
 

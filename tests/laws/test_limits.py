@@ -27,7 +27,7 @@ from taciturn.model.signals import ExternalDisturbance, Timetable
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.ops import Entry
-from taciturn.study.evaluation import sends_every_sample
+from taciturn.study.further_loops import sends_every_sample
 from taciturn_export.folder import print_folder
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -173,11 +173,15 @@ def test_inputs_start_within_limits_that_exclude_zero() -> None:
     path = taciturn.simulate(closed(design.excess(plant, COST, delta=10.0)), 20, seed=1)
     assert (path.input == 0.5).all()
     full = Plant(PLANT.A, PLANT.B, PLANT.W, input_limit=[[0.5, 2.0]])
-    words = r"lossy-lqg applies 0 in silence, and input_limit is \[\[0.5, 2.0\]\]; expected limits that contain 0"
+    words = (
+        r"lossy-lqg applies 0 if no packet arrives, but input_limit is \[\[0.5, 2.0\]\]; expected limits that contain 0"
+    )
     with pytest.raises(ProblemError, match=words):
         design.lossy_lqg(full, Cost(COST.Q, COST.R), price=1.0)
     slow = Plant(PLANT.A, PLANT.B, PLANT.W, input_rate=[1.0])
-    with pytest.raises(ProblemError, match=r"plant.input_rate is given, and network.actuator_loss is 0.3 without"):
+    with pytest.raises(
+        ProblemError, match=r"plant.input_rate is given, but network.actuator_loss is 0.3, and no packet is"
+    ):
         design.lossy_lqg(slow, Cost(COST.Q, COST.R), price=1.0, network=Network("udp", 0.3))
 
 
@@ -209,7 +213,9 @@ def test_a_rate_of_change_of_a_continuous_plant_is_per_second() -> None:
             close(plant, design.excess(plant, Cost([[1.0]], [[0.1]]), delta=1e-3, period=period)), 20, seed=1
         )
         assert np.abs(np.diff(path.input[:, 0], prepend=0.0)).max() == pytest.approx(2.0 * period)
-    with pytest.raises(ProblemError, match=r"input_rate is \[2.0\], but the input changes between steps"):
+    with pytest.raises(
+        ProblemError, match=r"input_rate is \[2.0\], but the input of this policy changes between steps"
+    ):
         design.periodic(
             ContinuousPlant([[0.0]], [[1.0]], [[0.1]], input_rate=[2.0]), Cost([[1.0]], [[0.1]]), period=0.1,
             actuation="model",
@@ -243,14 +249,18 @@ def test_a_filter_that_is_told_what_was_applied_is_that_of_a_plant_with_this_lim
 def test_an_applied_input_that_nobody_uses_is_refused() -> None:
     """In the first step, of a wrong size, and for nodes without a copy."""
     nodes = Nodes(design.excess(PLANT, COST, delta=0.1))
-    with pytest.raises(ProblemError, match="applied is given, in the first step; expected no applied"):
+    with pytest.raises(
+        ProblemError, match="the argument 'applied' is given, in the first step; expected no such argument"
+    ):
         nodes.step([0.0], applied=[0.0])
     nodes.step([0.0])
-    with pytest.raises(ProblemError, match=r"applied has shape \(2,\); expected \(1,\) = \(inputs,\)"):
+    with pytest.raises(ProblemError, match=r"applied has shape \(2,\); expected the shape \(1,\) = \(inputs,\)"):
         nodes.step([0.0], applied=[0.0, 1.0])
     full = Nodes(design.excess(Plant(PLANT.A, PLANT.B, PLANT.W), COST, delta=0.1))
     full.step([0.0, 0.0])
-    with pytest.raises(ProblemError, match="applied is given, and no filter of excess has a copy of the input"):
+    with pytest.raises(
+        ProblemError, match="the argument 'applied' is given, and no filter of excess has a copy of the input"
+    ):
         full.step([0.0, 0.0], applied=[0.0])
 
 
@@ -310,7 +320,7 @@ def test_the_share_of_the_steps_at_a_limit_is_that_of_all_parts_of_a_timetable()
 @pytest.mark.evidence
 def test_nodes_over_udp_and_their_plant_honour_limits() -> None:
     """The costs of a run of processes are those of the nodes in memory."""
-    run = taciturn.run_network(taciturn.load("pid-tank").changed(SIDES["pid-tank"]), ticks=60, seed=1)
+    run = taciturn.run_network(taciturn.load("pid-tank").changed(SIDES["pid-tank"]), steps=60, seed=1)
     plant, nodes = SimulatedPlant(run.loop, seed=1), Nodes(run.loop.policy)
     assert [plant.move(nodes.step(plant.measurement)) for _ in range(60)] == list(run.costs)
 

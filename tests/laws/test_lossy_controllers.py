@@ -22,7 +22,7 @@ from taciturn.program.engine import prepare
 from taciturn.program.numpy import run
 from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.evaluation import sends_every_sample
+from taciturn.study.further_loops import sends_every_sample
 
 PLANT = Plant([[1.02, 0.1], [0, 0.98]], [[0.005], [0.1]], np.diag([0.001, 0.01]), [[1, 0]], [[0.05]])
 WEIGHTS = Cost(np.diag([1.0, 0.1]), [[0.1]])
@@ -164,7 +164,7 @@ def test_above_the_critical_loss_the_mean_square_grows() -> None:
         growth[factor] = late.sums["cost"].mean() / early.sums["cost"].mean()
     assert growth[0.8] < 1.6
     assert growth[1.25] > 4
-    with pytest.raises(UnstableError, match=f"expected a loss below {critical:.4g}"):
+    with pytest.raises(UnstableError, match=f"expected a loss probability below {critical:.4g}"):
         design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=1.01 * critical))
 
 
@@ -180,7 +180,7 @@ def test_the_refusal_of_losses_names_the_first_critical_loss_although_more_losse
     weights = [[0.9304, 0.5693, -0.231], [0.5693, 0.8247, 0.1365], [-0.231, 0.1365, 2.0541]]
     cost = Cost(weights, [[1.1088, 0.2931], [0.2931, 1.6347]], [[0.1805, -0.105], [0.284, 0.3367], [0.883, 0.2465]])
     network = Network("tcp", actuator_burst=Burst(0.08, 0.3, 0.02, 0.7))
-    with pytest.raises(UnstableError, match=r"expected a loss below 0\.7335 times as much"):
+    with pytest.raises(UnstableError, match=r"expected a loss probability below 0\.7335 times as much"):
         design.excess(plant, cost, theta=0.2, network=network)
     problem = discretise(plant, cost, None)
     base = actuator_base(problem, lqg_observer("excess", problem))
@@ -243,9 +243,15 @@ def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"link": "sensor", "actuation": "zero"}, "actuation is 'zero', and the link is that of the sensor"),
-        ({"network": Network("tcp", delay=1)}, "network.delay is 1; expected 0 with excess"),
-        ({"network": Network("tcp", actuator_loss=1.0)}, "expected a loss below 0.69"),
+        (
+            {"link": "sensor", "actuation": "zero"},
+            "actuation is 'zero', but the policy sends its packets on the sensor link",
+        ),
+        (
+            {"network": Network("tcp", delay=1)},
+            "network.delay is 1; expected a delay of 0 steps with the policy kind excess",
+        ),
+        ({"network": Network("tcp", actuator_loss=1.0)}, "expected a loss probability below 0.69"),
         ({"network": Network("tcp", actuator_burst=Burst(0.1, 0.1, 0.8, 0.99))}, "times as much"),
     ],
 )
@@ -296,7 +302,7 @@ def test_a_dropout_may_be_followed_by_another_attempt(network: Network) -> None:
     error = np.hypot(*(cost.standard_error for cost in costs))
     assert costs[0].value == pytest.approx(costs[1].value, abs=4 * error)
     assert costs[0].value < policy.guarantee.cost
-    with pytest.raises(ProblemError, match="retry is true, and no packet is acknowledged and dropped"):
+    with pytest.raises(ProblemError, match="retry = true, but no packet is acknowledged and dropped"):
         design.excess(PLANT, WEIGHTS, theta=0.5, retry=True)
 
 

@@ -252,7 +252,7 @@ def test_whatever_runs_a_loop_tells_where_its_function_ends(name: str) -> None:
     plant = Plant([[1.2]], [[1.0]], [[0.1]], function=edge)
     loop = close(plant, design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.3))
     with pytest.raises(
-        UnstableError, match=r"the plant's function gives no finite number as state 1 in the loop of lqg, from x"
+        UnstableError, match=r"the plant's function returns no finite number as state 1 in the loop of lqg, from x"
     ) as told:
         RUNS[name](loop)
     assert abs(float(str(told.value).split("x = [")[1].split("]")[0])) >= 1.0

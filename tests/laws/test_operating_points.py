@@ -206,7 +206,7 @@ def test_a_nonlinear_plant_is_a_function_of_its_own_states() -> None:
 def test_an_equilibrium_is_found_from_rounded_digits() -> None:
     """Newton's method needs a state nearby."""
     assert equilibrium(STEP, [15.2, 24.0], [2.0]) == pytest.approx([16.0, 25.0], abs=1e-10)
-    with pytest.raises(ProblemError, match="no equilibrium of function is found"):
+    with pytest.raises(ProblemError, match="no equilibrium of the function was found"):
         equilibrium(lambda x, u, w: x + 1.0, [0.0], [0.0])
 
 
@@ -223,7 +223,9 @@ def test_a_simulated_plant_elsewhere_takes_the_claims_away() -> None:
     assert path.measurement[300:].mean(axis=0) == pytest.approx([12.4, 12.7], abs=0.15)
     same = tank.changed({"plant.actual": {key: rows for key, rows in actual.items() if key != "operating_point"}})
     assert same.close(same.design()).nominal
-    lqg = replace(tank, plant=located(SEEN, somewhere(SEEN)), cost=COST, network=taciturn.Network(), kind="lqg")
+    lqg = replace(
+        tank, plant=located(SEEN, somewhere(SEEN)), cost=COST, network=taciturn.Network(), kind="lqg", names=None
+    )
     lqg = replace(lqg, parameters={"theta": 0.1}, actual=located(SEEN, OperatingPoint([0.0, 1.0], [1.0])))
     with pytest.raises(ProblemError, match=r"plant\.drift is given, which certificates"):
         taciturn.certify(lqg)
@@ -285,7 +287,9 @@ def test_a_controller_states_another_set_point_than_zero() -> None:
     n, m = tank.plant.states, tank.plant.inputs
     point = {"plant.operating_point.x": [5.0] * n, "plant.operating_point.u": [1.0] * m}
     assert tank.changed(point).design().cost_all_time == tank.design().cost_all_time
-    with pytest.raises(ProblemError, match=r"set-point 0 of output 1, which is 5 at plant.operating_point; expected"):
+    with pytest.raises(
+        ProblemError, match=r"set-point 0 for output 1, but this output is 5 at plant.operating_point; expected"
+    ):
         tank.changed({**point, "controller.pid.setpoint": 0.0})
 
 
@@ -366,7 +370,10 @@ def test_costs_count_from_the_point_of_the_design_also_if_another_plant_is_simul
             {"operating_point.x": [12.4], "operating_point.u": [3.0, 3.0]},
             r"point.x has shape \(1,\); expected",
         ),
-        ({"operating_point": {**{"x": [0.0] * 4}, "u": [3.0]}}, r"operating_point.u has shape \(1,\); expected \(2,\)"),
+        (
+            {"operating_point": {**{"x": [0.0] * 4}, "u": [3.0]}},
+            r"operating_point.u has shape \(1,\); expected the shape \(2,\)",
+        ),
         (
             {"operating_point.x": ["a"] * 4, "operating_point.u": [3.0, 3.0]},
             "point.x.0. is 'a'; expected a num",
@@ -395,7 +402,9 @@ def test_a_range_that_excludes_the_point_is_refused() -> None:
 
 def test_a_function_that_does_not_rest_is_refused() -> None:
     """The message has the state that is reached, and how to find one that stays."""
-    with pytest.raises(ProblemError, match=r"function gives 20.1\d* as state 2 at the operating point.*equilibrium\("):
+    with pytest.raises(
+        ProblemError, match=r"the function returns 20.1\d* as state 2 at the operating point.*equilibrium\("
+    ):
         nonlinear(operating_point=OperatingPoint([16.0, 20.0], [2.0]))
     plant = nonlinear()
     with pytest.raises(ProblemError, match=r"with respect to u at the operating point has .*at=\(x, u\)"):

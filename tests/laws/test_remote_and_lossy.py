@@ -144,7 +144,7 @@ def test_a_delay_is_that_of_the_design() -> None:
     """The order of a policy's steps is its delay; a network with another one is refused."""
     plant, cost = Plant([[1.1]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
     policy = design.lossy_lqg(plant, cost, price=0.1, network=Network("udp", 0.1, 0.2))
-    with pytest.raises(ProblemError, match="designed for 0"):
+    with pytest.raises(ProblemError, match="designed for a delay of 0"):
         close(plant, policy, Network("udp", 0.1, 0.2, delay=1))
 
 

@@ -402,9 +402,12 @@ def test_ripple_that_grows_without_limit_leaves_the_cost_at_the_sampling_instant
     assert all(point.cycle is not None for point in found.clock.points)
     with pytest.raises(ProblemError, match="costs of several periods cannot be compared"):
         tune_period(problem, rate=1.0, least=0.1)
-    with pytest.raises(ProblemError, match=r"one has the period 0.5 and other 0.25, but the cost is that at the samp"):
+    with pytest.raises(
+        ProblemError,
+        match=r"the problem one has the period 0.5 and the problem other the period 0.25, but their costs count only",
+    ):
         compare({"one": problem, "other": problem.changed({"period": 0.25})}, 1.0)
-    with pytest.raises(ProblemError, match="expected the same in all problems"):
+    with pytest.raises(ProblemError, match="expected equal tables in all problems"):
         compare({"one": problem, "other": parse(TABLES, "tables")}, 1.0)
 
 

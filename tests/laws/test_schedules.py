@@ -15,6 +15,8 @@ from taciturn import Cost, Plant, UnstableError, average, close, design
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import necklaces
 from taciturn.lqg.riccati import regulate
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.ops import Option, Sent
 
 SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -44,6 +46,22 @@ def test_rollout_beats_periodic_control_at_its_rate() -> None:
         assert policy.guarantee is not None
         assert found.cost.value < policy.guarantee.cost - 4 * found.cost.standard_error
         assert abs(found.rates["actuator"].value - 0.5) <= 5 * found.rates["actuator"].standard_error
+
+
+@pytest.mark.parametrize("frequency", [0.2, 0.3, 0.31, 0.5, 1.0, 2.4])
+def test_a_held_input_does_not_follow_a_sinusoid(frequency: float) -> None:
+    """Whether its rounded cosines decay or grow; a constant disturbance is followed, and so is one that decays."""
+    system = make_system(2, 2, 1, 1, False)
+    wave = ExternalDisturbance(system.plant.B[:, 0], 0.1, "sinusoid", frequency=frequency)
+    plant = follow(system.plant, disturbances=wave)
+    for every in (2, (3, 1), 1000):
+        with pytest.raises(UnstableError, match="the cost grows without limit and has no average"):
+            design.periodic(plant, system.cost, every=every)
+    with pytest.raises(UnstableError, match="the cost grows without limit and has no average"):
+        design.periodic_schedule(plant, system.cost, length=4, sends=2)
+    assert design.periodic(plant, system.cost, every=1).theory.closed_form is not None
+    steady = follow(system.plant, disturbances=ExternalDisturbance(system.plant.B[:, 0], 0.1))
+    assert design.periodic(steady, system.cost, every=2).theory.closed_form is not None
 
 
 def test_the_sends_of_rollout_are_as_many_in_every_window() -> None:

@@ -17,7 +17,7 @@ from taciturn.base.given_controller import cost_as_now
 from taciturn.program.numpy import run
 from taciturn.program.ops import Entry
 from taciturn.simulation.average import average
-from taciturn.study.evaluation import sends_every_sample
+from taciturn.study.further_loops import sends_every_sample
 
 STABLE = Plant([[0.5]], [[1.0]], [[1.0]], dt=1.0)
 QUIET = 1e-18  # noise that leaves eight digits of a path
@@ -156,17 +156,17 @@ def test_a_command_beyond_a_limit_is_sent_at_every_sample() -> None:
             )
             for kind in (design.excess, design.event_pid, design.send_on_delta)
         ),
-        (lambda: PID(1.2, start_input=1.0), "pid.start_input is given without ki"),
+        (lambda: PID(1.2, start_input=1.0), "pid.start_input is given without pid.ki"),
         (lambda: PID(1.2, 1.0, tracking_time=0.0), "pid.tracking_time is 0"),
         (
             lambda: design.excess(
                 TANK, Cost(WEIGHTS.Q, WEIGHTS.R, horizon=9), theta=0.1, controller=replace(KEPT, setpoint=1.0)
             ),
-            "a set-point or start_input is given, and the cost is a total",
+            "a set-point or start_input is given, but the cost has a horizon",
         ),
         (
             lambda: design.event_pid(TANK, WEIGHTS, delta=0.1, controller=replace(KEPT, tracking_time=1.0)),
-            "pid.tracking_time is 1, which event-pid does not use",
+            "pid.tracking_time is 1, which the policy kind event-pid does not use",
         ),
     ],
 )  # fmt: skip

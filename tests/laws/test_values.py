@@ -24,7 +24,7 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.evaluation import sends_every_sample
+from taciturn.study.further_loops import sends_every_sample
 
 ACTUATIONS = ("hold", "model", "zero")
 
@@ -258,10 +258,14 @@ def test_no_gain_is_stable_above_the_critical_loss() -> None:
     """Of a scalar plant with zero input: 1/a²; the message states the limit, and with an ideal link there is none."""
     plant, cost = Plant([[1.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
     zero = {"theta": 0.1, "actuation": "zero", "gains": "loss-optimal"}
-    with pytest.raises(UnstableError, match=r"grows for every gain; expected a loss below 0\.44"):
+    with pytest.raises(
+        UnstableError, match=r"grows without limit for every gain; expected a loss probability below 0\.44"
+    ):
         design.excess(plant, cost, network=Network("tcp", actuator_loss=0.46), **zero)
     assert design.excess(plant, cost, network=Network("tcp", actuator_loss=0.43), **zero).cost_all_time > 0
-    with pytest.raises(ProblemError, match="gains is 'loss-optimal'; expected an actuator link that drops packets"):
+    with pytest.raises(
+        ProblemError, match="gains = 'loss-optimal' does not apply here; expected an actuator link that drops packets"
+    ):
         design.excess(plant, cost, **zero)
 
 

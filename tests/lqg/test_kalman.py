@@ -229,13 +229,15 @@ def test_an_unstable_mode_that_no_output_shows_is_named():
 
 def test_a_mode_on_the_circle_that_no_noise_reaches_is_named():
     """A constant disturbance without noise has no steady filter; the remedy is in the message."""
-    with pytest.raises(UnstableError, match=r"eigenvalue 1 on the unit circle.*give W a small positive part"):
+    with pytest.raises(
+        UnstableError, match=r"eigenvalue 1 on the unit circle.*add a small positive definite matrix to W"
+    ):
         steady_filter([[1.0, 1], [0, 1]], [[1.0, 0]], np.diag([1.0, 0]), [[1.0]])
 
 
 def test_noise_that_cancels_in_a_perfect_output_is_refused():
     """y_k = w_{k−1} − w_{k−2} has its zero on the circle: no stable filter recovers w."""
-    with pytest.raises(UnstableError, match="give V a small positive part"):
+    with pytest.raises(UnstableError, match="add a small positive definite matrix to V"):
         steady_filter([[0.0, 0], [1, 0]], [[1.0, -1]], np.diag([1.0, 0]), [[0.0]])
 
 

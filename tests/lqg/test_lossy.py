@@ -495,7 +495,9 @@ def test_more_losses_than_can_be_survived_are_refused_with_the_critical_value():
 
 def test_a_mission_whose_cost_overflows_is_refused():
     """A plant that grows beyond all numbers while everything is lost gives a sentence, not inf."""
-    with pytest.raises(UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: the losses"):
+    with pytest.raises(
+        UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: the loss probabilities"
+    ):
         regulate_lossy_finite(1e3 * np.eye(1), *[np.eye(1)] * 4, 200, at_losses(UDP, 1.0, 0.0))
 
 
@@ -598,7 +600,7 @@ def test_a_critical_loss_of_zero_ends_the_search():
 
 def test_a_base_with_too_many_steps_between_packets_is_refused():
     """Its value is computed step by step."""
-    with pytest.raises(ProblemError, match="every is 1000000; expected at most 100000 steps"):
+    with pytest.raises(ProblemError, match="every = 1000000; expected at most 100000: the base policy"):
         design.excess(Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1, every=1_000_000)
 
 

@@ -158,7 +158,7 @@ def test_the_stationary_sum_is_the_solution_of_its_linear_equations_in_512_bits(
 def test_a_rotation_that_rounding_leaves_inside_the_circle_has_no_sum():
     """The true rotation has none, and no digit of the sum of the stored one is known."""
     c, s = np.cos(0.3) * (1 - 1e-15), np.sin(0.3) * (1 - 1e-15)
-    with pytest.raises(UnstableError, match="is not proved to a relative error of 1e-06"):
+    with pytest.raises(UnstableError, match="could not be proved"):
         accumulate([[c, s], [-s, c]], np.eye(2))
 
 

@@ -174,6 +174,6 @@ def test_a_hold_over_which_the_plant_overflows_is_refused():
 
 
 def test_a_hold_of_no_steps_is_refused():
-    """The period is a whole number, at least one."""
+    """The period is a whole number of at least one."""
     with pytest.raises(ProblemError, match="every is 0"):
         lift([[2.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[1.0]], 0)

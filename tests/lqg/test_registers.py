@@ -182,7 +182,7 @@ def test_the_cost_of_registers_is_that_of_their_stationary_second_moments(draw, 
     N = np.zeros(B.shape)
     N[:n] = c.N
     found = regulate(A, B, Q, c.R, N)
-    with left_out("is not proved to a relative error"):
+    with left_out("could not be proved"):
         X = accumulate(A + B @ found.L, W)
     stage = Q + N @ found.L + found.L.T @ N.T + found.L.T @ c.R @ found.L
     doubt = np.sum(found.error * W) / np.sum(found.K * W)

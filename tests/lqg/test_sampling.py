@@ -249,7 +249,7 @@ def test_a_period_over_which_the_state_overflows_is_refused():
 def test_a_period_that_is_too_long_for_an_unstable_mode_is_told_as_such(period, told):
     """A pendulum that falls at 4.4/s, and not a mode that no input moves, which rounding made of it."""
     pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
-    words = re.escape(f"grows by {told}; expected growth by at most 1e+08, so a period below about 4.19")
+    words = re.escape(f"grows by the factor {told}; expected a factor of at most 1e+08, so a period below about 4.19")
     with pytest.raises(ProblemError, match=words):
         excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=period)
 
@@ -301,6 +301,7 @@ def test_a_period_far_from_the_time_scale_of_the_plant_is_named_and_not_the_dist
 def test_a_period_of_which_nothing_is_left_in_a_step_is_refused_without_a_problem(A: float) -> None:
     """Also of an integrator, which has no time scale of its own."""
     with pytest.raises(
-        ProblemError, match=r"period is 1e-300, and rounding hides what the plant does .* at least 1e-1"
+        ProblemError,
+        match=r"period is 1e-300, but in so short a step, rounding hides the motion of the plant; .* at least 1e-1",
     ):
         excess(ContinuousPlant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1, period=1e-300)

@@ -80,7 +80,10 @@ def test_a_matrix_file_holds_the_controller(tmp_path: Path) -> None:
         found = read(tmp_path, f'file = "slow.npz"\nmethod = "{method}"').design().cost_all_time
         assert found == pytest.approx(expected, rel=1e-12)
     assert read(tmp_path, 'file = "slow.npz:K"').design().cost_all_time == pytest.approx(cost_of(1.2), rel=1e-12)
-    for name, words in (("slow.npz:L", "has no variable L; expected one of A, B"), ("a.mat", "cannot be read")):
+    for name, words in (
+        ("slow.npz:L", "has no variable L; expected one of its variables A, B"),
+        ("a.mat", "cannot be read"),
+    ):
         with pytest.raises(ProblemError, match=words):
             read(tmp_path, f'file = "{name}"')
     with pytest.raises(ProblemError, match=r"steps of 0\.1 s; expected no method"):
@@ -155,13 +158,16 @@ def test_a_problem_file_states_the_disturbance(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
-        ("D = [[1.2]]\npid = {kp = 1.2}", "controller.pid and controller.D are given; expected one of the two"),
-        ('sign = "negative"', "[controller] has no controller; expected pid, file, or A, B, C and D"),
-        ("A = [[1.0]]\nD = [[1.2]]", "the controller has A, D and no B, C; expected A, B, C and D, or D alone"),
-        ("D = [[1.2]]\nmethod = 'zoh'", "controller.method is given with D alone"),
+        ("D = [[1.2]]\npid = {kp = 1.2}", "controller.pid and controller.D are both given; expected only one of them"),
+        (
+            'sign = "negative"',
+            "[controller] describes no controller; expected the key 'pid' or 'file', or the matrices A, B, C and D",
+        ),
+        ("A = [[1.0]]\nD = [[1.2]]", "the controller has A, D but no B, C; expected A, B, C and D, or only D"),
+        ("D = [[1.2]]\nmethod = 'zoh'", "controller.method is given with only D"),
         ("D = [[1.2]]\ndisturbance = {time_constant = 1e7, deviation = 0.1}", "1e+08 steps; expected at most 1e+06"),
         ("pid = {kp = 1.0}\nmethod = 'zoh'", "controller.method is given with pid"),
-        ("pid = {kp = 1.0}\nfile = 'a.mat'", "controller.pid and controller.file are given"),
+        ("pid = {kp = 1.0}\nfile = 'a.mat'", "controller.pid and controller.file are both given"),
         ("file = 'none.mat'", "none.mat' cannot be read"),
         (MATRICES + "\nE = [[0.0], [0.0]]\nmethod = 'zoh'", "controller.E is given with a continuous controller"),
         ("pid = [{kp = 1.0, output = 2}]", "pid.output is 2; expected a number from 1 to 1"),
@@ -169,7 +175,7 @@ def test_a_problem_file_states_the_disturbance(tmp_path: Path) -> None:
         ("pid = {kp = 1.2, kf = 1.0}", "controller.pid.kf is not a known key"),
         ('D = [[1.2]]\nsign = "minus"', "controller.sign is 'minus'; expected 'negative' or 'positive'"),
         ('D = [[1.2]]\ndisturbance = "some"', "controller.disturbance is 'some'; expected a table or 'none'"),
-        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1, as for the plant"),
+        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1 measurements, to match the plant"),
         ("A = [[0.5, 0.0]]\nB = [[1.0]]\nC = [[1.0]]", "controller.A has shape (1, 2); expected a square matrix"),
     ],
 )
@@ -193,7 +199,7 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
     """Instead of ignoring it."""
     problem = read(tmp_path, "D = [[1.2]]")
     for kind, more in (("lqg", {}), ("near-optimal", {"theta": None, "price": 0.01})):
-        with pytest.raises(ProblemError, match=f"is given, which {kind} does not use"):
+        with pytest.raises(ProblemError, match=f"is given, which the policy kind {kind} does not use"):
             problem.changed({"kind": kind} | more).designed()
 
 
@@ -205,10 +211,13 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
         (lambda: PID(1.0).at(None, 1, 1), "plant.dt is missing"),
         (lambda: PID(np.nan), "pid.kp is nan"),
         (lambda: Disturbance(0.0), "disturbance.time_constant is 0"),
-        (lambda: Disturbance(deviation=[-1.0]), "disturbance.deviation is [-1.0]; expected a deviation of at least 0"),
+        (
+            lambda: Disturbance(deviation=[-1.0]),
+            "disturbance.deviation is [-1.0]; expected a standard deviation of at least 0",
+        ),
         (
             lambda: design.excess(TANK, WEIGHTS, theta=1, controller=replace(KEPT, disturbance=Disturbance(9, [1, 1]))),
-            "disturbance.deviation has 2 entries; expected 1, one per input",
+            "disturbance.deviation has 2 entries; expected 1 entries, one for each input",
         ),
         (
             lambda: design.excess(
@@ -217,7 +226,7 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
                 theta=1,
                 controller=PID(1.2, 0.15),
             ),
-            "disturbance.deviation is missing, and W has no noise at an input",
+            "disturbance.deviation is missing, and it cannot be derived from W, because some input has no process",
         ),
         (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(-1.2)), "it has the eigenvalue 1."),
         (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2).at(0.2, 1, 1)), "controller.dt is 0.2 s"),
@@ -230,12 +239,12 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
         (lambda: PID(1.0, input=2).at(0.1, 1, 1), "pid.input is 2; expected a number from 1 to 1"),
         (lambda: controller_from([]), "the controller is empty; expected a gain matrix K, or PID controllers"),
         (lambda: controller_from([PID(1.0), 3]), "the list of PID controllers contains 3"),
-        (lambda: controller_from(PID(1.0), sign="positive"), "sign is given with a complete controller"),
+        (lambda: controller_from(PID(1.0), sign="positive"), "sign is given in addition to a complete controller"),
         (lambda: controller_from([[1.0]], method="zoh"), "method is given with a gain matrix"),
-        (lambda: PID(1.0, filter=0.5), "pid.filter is 0.5, and kd is 0"),
+        (lambda: PID(1.0, filter=0.5), "pid.filter is 0.5, but pid.kd is 0"),
         (
             lambda: PID(1.0, 0.1, 1.0, 0.5, setpoint=1.0, c=1.0, start_input=0.0),
-            "pid.c is 1 with start_input, with which the derivative starts at rest",
+            "pid.c is 1 together with start_input, so it has no effect: the derivative starts at zero",
         ),
         (lambda: PID(1.0, disturbance="none"), "pid.disturbance is 'none'; expected a Disturbance, Disturbance(dev"),
         (lambda: controller_from(PLAIN, disturbance=5.0), "controller.disturbance is 5.0; expected a Disturbance"),
@@ -243,22 +252,22 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
             lambda: controller_from(scipy.signal.StateSpace([[20.0]], [[1.0]], [[0.15]], [[1.2]])).at(0.1, 1, 1),
             "the controller has a pole at 2/h = 20 per second with steps of h = 0.1 s",
         ),
-        (lambda: PID(1.0, 0.1, setpoint=1.0, c=0.5), "pid.c is 0.5, and kd is 0"),
+        (lambda: PID(1.0, 0.1, setpoint=1.0, c=0.5), "pid.c is 0.5, but pid.kd is 0"),
         (  # the output of the controller does not see its growing state
             lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=Controller([[1.5]], [[1.0]], [[0.0]], [[-1.2]])),
             "it has the eigenvalue 1.5",
         ),
-        (lambda: controller_from([PID(1.0)]).at(0.1, 2, 1), "no PID controller has the input 2"),
+        (lambda: controller_from([PID(1.0)]).at(0.1, 2, 1), "no PID controller computes input 2"),
         (
             lambda: controller_from([replace(KEPT, disturbance=Disturbance(9.0))] * 2),
-            "several PID controllers state a disturbance",
+            "several PID controllers have the key 'disturbance'",
         ),
         (lambda: controller_from(PLAIN, method="euler").at(0.1, 1, 1), "controller.method is 'euler'"),
         (lambda: controller_from(PLAIN, E=[[1.0]]), "E is given with a continuous controller"),
         (lambda: controller_from(PLAIN.to_discrete(0.1), method="zoh"), "method is 'zoh' with a discrete controller"),
         (
             lambda: design.excess(TANK, Cost(np.eye(2), [[1.0]], horizon=9), theta=0.1, every=2),
-            "cost.horizon is 9, so the gains of LQG change with time; excess supports this only over an actuator link",
+            "cost.horizon is 9, so the gains of LQG change with time; the policy kind excess supports this only",
         ),
     ],
 )
@@ -285,7 +294,7 @@ def test_the_energy_of_packets_gives_power_and_battery_life(tmp_path: Path) -> N
     assert "mW for packets; the battery lasts" in str(found)
     assert problem.changed({"theta": 0.3}).network == problem.network
     for change, words in (
-        ({"network.sensor_energy": 1.0}, "decides on no packet of the sensor link"),
+        ({"network.sensor_energy": 1.0}, "makes no send decisions on the sensor link"),
         ({"network.actuator_energy": None}, "network.actuator_battery is given without network.actuator_energy"),
         ({"network.actuator_energy": -1.0}, "network.actuator_energy is -1"),
     ):

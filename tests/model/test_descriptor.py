@@ -115,11 +115,14 @@ def test_zeros_stay_zeros() -> None:
         ({"E": [[1, 2], [2, 4]]}, "E is singular: its rank is 1 for 2 states, so some equations are algebraic"),
         ({"E": [[0.1, 0.2], [0.3, 0.6]]}, "E is singular"),
         ({"E": np.zeros((2, 2))}, "E is singular: its rank is 0 for 2 states"),
-        ({"E": [[1.0]]}, r"E has shape \(1, 1\); expected \(2, 2\) = \(states, states\)"),
-        ({"E": [[1, np.nan], [0, 1]]}, "E contains nan"),
-        ({"E": np.diag([1e-200, 1])}, "E⁻¹A contains .* expected numbers with finite squares"),
+        ({"E": [[1.0]]}, r"E has shape \(1, 1\); expected the shape \(2, 2\) = \(states, states\)"),
+        ({"E": [[1, np.nan], [0, 1]]}, "E contains the number nan"),
+        ({"E": np.diag([1e-200, 1])}, "E⁻¹A contains .* expected an array of numbers with finite squares"),
         ({"W": np.diag([1, -1])}, "W has the eigenvalue -1"),
-        ({"function": lambda x, u, w: x}, "E is given with function, which returns the next state; expected no E"),
+        (
+            {"function": lambda x, u, w: x},
+            "E is given together with a function, which returns the next state; expected no E",
+        ),
     ],
 )
 def test_what_is_no_plant_is_refused(change: dict[str, Any], words: str) -> None:
@@ -142,7 +145,7 @@ def test_a_matrix_that_is_hardly_regular_hides_the_noise_of_slow_states() -> Non
     E[2:, 2:] = [[0.1, 0.3], [0.2, 0.6000000001]]
     A = [[0, 0, 1, 0], [0, 0, 0, 1], [-900, 880, -6, 2], [880, -930, 2, -3]]
     plant = ContinuousPlant(A, [[0], [0], [1], [0.1]], np.diag([0.0, 0, 4, 2]), E=E)
-    with pytest.raises(ProblemError, match="an E that is not nearly singular"):
+    with pytest.raises(ProblemError, match="an E that is less close to singular"):
         design.all_time(plant, Cost(np.eye(4), [[1e-3]]), period=1e-3)
 
 
@@ -150,7 +153,7 @@ def test_jumps_and_disturbances_act_on_the_equation() -> None:
     """As the noise does; jumps that are not normal would have another distribution, and are refused."""
     E, given = np.diag([2.0, 4.0]), {"A": -np.eye(2), "B": np.eye(2)}
     assert ContinuousPlant(**given, jumps=Jumps(1.0, np.eye(2)), E=E).W.tolist() == [[0.25, 0], [0, 0.0625]]
-    with pytest.raises(ProblemError, match=r"jumps\.distribution is 'uniform', and E is given"):
+    with pytest.raises(ProblemError, match=r"jumps\.distribution is 'uniform', but E is given"):
         ContinuousPlant(**given, jumps=Jumps(1.0, np.eye(2), "uniform"), E=E)
     plain = follow(Plant(np.eye(2) / 2, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), disturbances=[
         ExternalDisturbance([1.0, 1.0], 0.1)

@@ -67,7 +67,7 @@ def test_a_linearisation_does_not_look_beyond_where_a_function_is_defined() -> N
     assert A.item() == pytest.approx(1e4, rel=1e-9)
     A, _ = linearise(lambda x, u, w: np.clip(x, -1e-4, 1e-4) + u, 1, 1)
     assert A.item() == pytest.approx(1.0, rel=1e-9)
-    with pytest.raises(ProblemError, match=r"^function gives no finite values when x1 changes by"):
+    with pytest.raises(ProblemError, match=r"^the function returns no finite values when x1 changes by"):
         linearise(lambda x, u, w: x / 0.0 + u, 1, 1)
 
 
@@ -108,30 +108,42 @@ def test_a_built_in_plant_has_the_linearisation_that_its_file_states(name: str) 
     ("function", "sentence"),
     [
         (3.0, "function is 3.0; expected a function x, u, w → x⁺"),
-        (lambda x, u, w: x / 0.0, "function gives nan as state 1 at x = 0, u = 0, w = 0; expected finite numbers"),
-        (lambda x, u, w: np.log(x), "function gives -inf as state 1 at x = 0, u = 0, w = 0; expected finite numbers"),
-        (lambda x, u, w: x + 1.0, "function gives 1 as state 1 at x = 0, u = 0, w = 0; expected 0, the equilibrium"),
-        (lambda x, u, w: np.zeros(2), "function gives an array of the shape (2,); expected (1,), the next state"),
-        (lambda x, u, w: 0.0, "function gives an array of the shape (); expected (1,), the next state"),
-        (lambda x, u, w: "here", "function gives 'here', which is not an array of numbers"),
-        (lambda x, u, w: None, "function gives None, which is not an array of numbers"),
-        (lambda x, u, w: x[1], "function fails at x = [0.0], u = [0.0], w = [0.0] (IndexError: index 1 is out of"),
-        (lambda x, u: x, "function fails at x = [0.0], u = [0.0], w = [0.0] (TypeError: "),
+        (lambda x, u, w: x / 0.0, "function returns nan as state 1 at x = 0, u = 0, w = 0; expected finite numbers"),
+        (lambda x, u, w: np.log(x), "function returns -inf as state 1 at x = 0, u = 0, w = 0; expected finite numbers"),
+        (
+            lambda x, u, w: x + 1.0,
+            "the function returns 1 as state 1 at x = 0, u = 0, w = 0; expected 0, because A and B",
+        ),
+        (
+            lambda x, u, w: np.zeros(2),
+            "the function returns an array of the shape (2,); expected (1,), the shape of the next state",
+        ),
+        (
+            lambda x, u, w: 0.0,
+            "the function returns an array of the shape (); expected (1,), the shape of the next state",
+        ),
+        (lambda x, u, w: "here", "the function returns 'here', which is not an array of numbers"),
+        (lambda x, u, w: None, "the function returns None, which is not an array of numbers"),
+        (
+            lambda x, u, w: x[1],
+            "function fails at the point x = [0.0], u = [0.0], w = [0.0] (IndexError: index 1 is out of",
+        ),
+        (lambda x, u: x, "function fails at the point x = [0.0], u = [0.0], w = [0.0] (TypeError: "),
         (
             lambda x, u, w: 1.3 * x + u + w,
-            "A has 1.2 in row 1, column 1, and the derivative of function with respect to x at 0 has",
+            "the matrix A has 1.2 in row 1, column 1, but the derivative of the function with respect to x at 0 has",
         ),
         (
             lambda x, u, w: 1.2 * x + w,
-            "B has 1 in row 1, column 1, and the derivative of function with respect to u at 0 has 0 ",
+            "the matrix B has 1 in row 1, column 1, but the derivative of the function with respect to u at 0 has 0 ",
         ),
         (
             lambda x, u, w: 1.2 * x + u,
-            "the derivative of function with respect to w at 0 has the row [0] for state 1; expected the",
+            "the derivative of the function with respect to w at 0 has the row [0] for state 1; expected the",
         ),
         (
             lambda x, u, w: bent(x, u, 2.0 * w),
-            "the derivative of function with respect to w at 0 has the row [2] for state 1",
+            "the derivative of the function with respect to w at 0 has the row [2] for state 1",
         ),
     ],
 )
@@ -180,7 +192,7 @@ def test_a_function_goes_to_other_processes_if_they_can_find_it() -> None:
     ("arguments", "sentence"),
     [
         ({"dt": 0.0}, "dt is 0; expected 0 < dt"),
-        ({"steps": 0}, "steps is 0; expected a whole number, at least 1"),
+        ({"steps": 0}, "steps is 0; expected a whole number of at least 1"),
         ({"ode": 1}, "ode is 1; expected a function x, u → dx/dt"),
     ],
 )
@@ -194,7 +206,8 @@ def test_what_no_rule_integrates_is_refused(arguments: dict[str, Any], sentence:
 def test_an_equation_of_another_size_is_refused() -> None:
     """Its value must be as long as the state; numpy would stretch it."""
     with pytest.raises(
-        ProblemError, match=r"^ode gives an array of the shape \(1,\); expected \(2,\), the shape of the state$"
+        ProblemError,
+        match=r"^ode returns an array of the shape \(1,\); expected \(2,\), the shape of the state$",
     ):
         linearise(integrate(lambda x, u: [x[0]], 0.1), 2, 1)
 

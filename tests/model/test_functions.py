@@ -46,7 +46,7 @@ def make(*steps: Step, theory: Theory = NOTHING) -> Policy:
 def test_a_function_is_simulated_traced_and_run() -> None:
     """Average and trajectory of a loop whose command is bent."""
     loop = close(PLANT, make(BEND, DECIDE, SEND, INPUT), None, COST)
-    path = taciturn.simulate(loop, ticks=50, seed=3)
+    path = taciturn.simulate(loop, steps=50, seed=3)
     sent = path.sends["actuator"]
     assert 0 < sent.sum() < 50
     np.testing.assert_allclose(path.input[sent, 0], -np.tanh(path.state[sent, 0]), rtol=1e-15)
@@ -54,11 +54,11 @@ def test_a_function_is_simulated_traced_and_run() -> None:
 
 
 @pytest.mark.parametrize(("make_step", "message"), [
-    (lambda: Apply("controller", {}, bent, ("y",)), "a function at controller has no results; expected signals"),
+    (lambda: Apply("controller", {}, bent, ("y",)), "a function at the node controller has no results; expected the"),
     (lambda: Apply("controller", {"f": 0}, bent, ("y",)), "the number of entries of f is 0; expected a whole number"),
-    (lambda: Apply("controller", {"f": 1}, 3.0, ("y",)), "the function of f is 3.0; expected a Python function"),
-    (lambda: Apply("controller", {"f": 1}, bent, ()), r"the function of f reads \(\); expected a tuple with at"),
-    (lambda: Apply("controller", {"f": 1}, bent, "y"), "the function of f reads 'y'; expected a tuple with at"),
+    (lambda: Apply("controller", {"f": 1}, 3.0, ("y",)), "the function that computes f is 3.0; expected a Python"),
+    (lambda: Apply("controller", {"f": 1}, bent, ()), r"the function that computes f reads \(\); expected a tuple"),
+    (lambda: Apply("controller", {"f": 1}, bent, "y"), "the function that computes f reads 'y'; expected a tuple"),
 ])  # fmt: skip
 def test_what_is_no_function_is_refused(make_step: Callable[[], object], message: str) -> None:
     """Nothing to compute, nothing to compute it with, or nothing to compute it of."""
@@ -69,7 +69,7 @@ def test_what_is_no_function_is_refused(make_step: Callable[[], object], message
 @pytest.mark.parametrize(("steps", "message"), [
     ((Apply("controller", {"command": 1}, bent, ("z",)), INPUT), "the signal 'z' is never assigned"),
     ((BEND, Apply("controller", {"command": 2}, bent, ("y",)), INPUT), "command has 1 entries in one step and 2 in"),
-    ((Apply("controller", {"one": 1}, bent, ("y",)), INPUT), "'one' is assigned, but this name denotes the number 1"),
+    ((Apply("controller", {"one": 1}, bent, ("y",)), INPUT), "a policy step assigns 'one', but this name denotes the"),
     ((Apply("actuator", {"input": 2}, bent, ("input",)),), "input has 2 entries; expected a signal with 1 entries"),
 ])  # fmt: skip
 def test_a_function_that_does_not_fit_is_refused(steps: tuple[Step, ...], message: str) -> None:
@@ -80,11 +80,14 @@ def test_a_function_that_does_not_fit_is_refused(steps: tuple[Step, ...], messag
 
 def test_a_node_gives_a_function_what_it_holds() -> None:
     """Not the signals of another place, and not those that another place assigns."""
-    with pytest.raises(InformationError, match="actuator reads 'command', which is not available there"):
+    with pytest.raises(
+        InformationError, match="the node actuator reads the signal 'command', which is not available there"
+    ):
         close(PLANT, make(BEND, Apply("actuator", {"input": 1}, bent, ("command",))), None, COST)
     twice = Apply("actuator", {"command": 1}, bent, ("input",))
     with pytest.raises(
-        InformationError, match="command is assigned at actuator and at another site; expected only one site"
+        InformationError,
+        match="the signal command is assigned at the node actuator and at another site; expected only one site",
     ):
         close(PLANT, make(BEND, DECIDE, SEND, INPUT, twice), None, COST)
 
@@ -102,7 +105,9 @@ def test_a_function_that_cannot_be_traced_is_refused_when_the_loop_runs() -> Non
 
 def test_theory_of_linear_steps_is_not_claimed_of_a_function() -> None:
     """Neither a guarantee nor a certificate."""
-    with pytest.raises(ProblemError, match="computes command by a function and has guarantee, which holds for"):
+    with pytest.raises(
+        ProblemError, match="computes command by a function, but its theory has guarantee, which holds for"
+    ):
         make(BEND, DECIDE, SEND, INPUT, theory=Theory(COST, guarantee=Guarantee(1.0, "a claim", "gommans2017")))
     loop = close(PLANT, make(BEND, DECIDE, SEND, INPUT), None, COST)
     with pytest.raises(ProblemError, match="hand-made computes command by a function, which certificates do not"):

@@ -20,12 +20,18 @@ def test_each_limit_reads_as_a_formula() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"outputs": [[1.0, 0.0]]}, "limits.outputs[0] has no bound; expected low, high or both"),
+        (
+            {"outputs": [[1.0, 0.0]]},
+            "limits.outputs[0] has neither a lower nor an upper limit; expected limits.low, limits.high or both",
+        ),
         ({"outputs": [[0.0, 0.0]], "high": [1.0]}, "limits.outputs[0] contains only zeros"),
         ({"outputs": [[1.0]], "low": [1.0], "high": [1.0]}, "limits.low[0] is 1 and limits.high[0] is 1; expected low"),
-        ({"outputs": [[1.0]], "high": [1.0, 2.0]}, "limits.high has shape (2,); expected (1,)"),
+        ({"outputs": [[1.0]], "high": [1.0, 2.0]}, "limits.high has shape (2,); expected the shape (1,)"),
         ({"outputs": [[1.0]], "high": [-np.inf]}, "limits.high contains -inf; expected numbers, or inf for no limit"),
-        ({"outputs": [[1.0]], "low": [np.nan]}, "limits.low contains nan at index (0,); expected finite numbers"),
+        (
+            {"outputs": [[1.0]], "low": [np.nan]},
+            "limits.low contains the number nan at index (0,); expected an array of finite numbers",
+        ),
         ({"outputs": [[1.0]], "high": "much"}, "limits.high"),
         ({"outputs": [1.0], "high": [1.0]}, "limits.outputs has shape (1,)"),
     ],

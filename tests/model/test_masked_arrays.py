@@ -46,7 +46,7 @@ def masked_next(x: np.ndarray, u: np.ndarray, w: np.ndarray) -> np.ndarray:
 )
 def test_a_masked_entry_is_refused_by_name(name: str, made: Callable[[], object]) -> None:
     """One sentence, whatever the array is of."""
-    with pytest.raises(ProblemError, match="has masked entries; expected a number in each") as refused:
+    with pytest.raises(ProblemError, match="has masked entries; expected a number in every entry") as refused:
         made()
     assert name in str(refused.value)
 

@@ -103,9 +103,9 @@ TAKE = "expected protocol = 'udp' or 'tcp' for a network with packet losses"
         (lambda: Network(sensor_loss=0.1), "network.sensor_loss is given for an ideal network; " + TAKE),
         (lambda: Network(actuator_burst=BURST), "network.actuator_burst is given for an ideal network; " + TAKE),
         (lambda: Network("sctp"), "network.protocol is 'sctp'; expected 'udp', 'tcp' or 'ideal'"),
-        (lambda: Network(delay=-1), "network.delay is -1; expected a whole number, at least 0"),
-        (lambda: Network(delay=0.5), "network.delay is 0.5; expected a whole number, at least 0"),
-        (lambda: Network(delay=True), "network.delay is True; expected a whole number, at least 0"),
+        (lambda: Network(delay=-1), "network.delay is -1; expected a whole number of at least 0"),
+        (lambda: Network(delay=0.5), "network.delay is 0.5; expected a whole number of at least 0"),
+        (lambda: Network(delay=True), "network.delay is True; expected a whole number of at least 0"),
     ],
 )
 def test_a_network_that_contradicts_itself_is_refused(action: Callable[[], object], sentence: str) -> None:

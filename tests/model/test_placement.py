@@ -87,18 +87,18 @@ def test_a_place_away_from_the_controller_merges_nodes_only_in_kinds_of_three_no
     ("nodes", "links", "expected"),
     [
         ({"a": {"measures": [0]}, "b": {"measures": [1]}, **APPLIED}, {}, "sensor node, but the network has a and b"),
-        ({"a": {"measures": True}, **APPLIED}, {}, r"but a has a link; expected nodes.a.site = \"plc\""),
-        ({**WIRED, "valve": {"applies": True, "site": "plc"}}, {}, "a link between actuator and controller, but valve"),
-        ({**WIRED, **APPLIED}, {"level-1": {"loss": 0.1}}, "but level-1 is at the controller's place"),
+        ({"a": {"measures": True}, **APPLIED}, {}, r"but the node 'a' has a link; expected nodes.a.site = \"plc\""),
+        ({**WIRED, "valve": {"applies": True, "site": "plc"}}, {}, "between actuator and controller, but the node"),
+        ({**WIRED, **APPLIED}, {"level-1": {"loss": 0.1}}, "but the node 'level-1' is at the controller's site"),
         ({**WIRED, "valve": {"applies": [0, 1]}}, {}, "nodes.valve.applies contains the index 1; expected indices"),
         ({"a": {"measures": [2.0]}, **APPLIED}, {}, r"nodes.a: measures is \[2.0\]; expected a list of whole numbers"),
         ({"a": {"measures": [True]}, **APPLIED}, {}, r"is \[True\]; expected a list of whole numbers, the indices"),
         ({"a": {"measures": 1}, **APPLIED}, {}, "measures is 1; expected .* of outputs from 0 on, or true for all"),
         ({**WIRED, "valve": {"applies": ["0"]}}, {}, r"applies is \['0'\]; expected .* the indices of inputs from 0"),
         ({**WIRED, "valve": {"applies": [-1]}}, {}, "applies contains the index -1; expected indices of inputs from 0"),
-        ({"a": {"measures": [0, 0]}, **APPLIED}, {}, r"nodes.a: measures is \[0, 0\]; expected each index once"),
+        ({"a": {"measures": [0, 0]}, **APPLIED}, {}, r"nodes.a: measures is \[0, 0\]; expected a list that"),
         ({"plant": {"measures": True}, **APPLIED}, {}, "nodes.plant has the name 'plant'"),
-        ({"a": {"measures": True, "site": "b"}, **APPLIED}, {}, "nodes.a.site is 'b'; expected one of valve, plc"),
+        ({"a": {"measures": True, "site": "b"}, **APPLIED}, {}, "nodes.a.site is 'b'; expected the name"),
         ({"a": {"measures": True, "controls": True}, **APPLIED}, {}, "2 nodes control"),
         ({**WIRED, **APPLIED}, {"valve": {"delay": 2}}, "links.valve.delay is given, but links model no delay yet"),
         ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 1e-100 ≤ price"),
@@ -115,7 +115,7 @@ def test_what_does_not_fit_is_refused(nodes: Mapping[str, Any], links: Mapping[s
 def test_a_kind_without_losses_names_the_key_of_the_link() -> None:
     """In the words of the file."""
     problem = named(taciturn.load("two-mass-lqg"), {**WIRED, **APPLIED}, {"valve": {"loss": 0.1}})
-    with pytest.raises(ProblemError, match=r"links\.valve\.loss is given, which lqg does not use"):
+    with pytest.raises(ProblemError, match=r"links\.valve\.loss is given, which the policy kind lqg does not use"):
         problem.design()
 
 
@@ -132,7 +132,9 @@ def test_design_functions_take_the_network_as_problems_do() -> None:
         found = placed(found, one)
         assert fingerprint(found, one) == fingerprint(expected, one)
         assert (found.network, found.scheduled) == (one, expected.scheduled)
-    with pytest.raises(ProblemError, match=r"^links\.b\.loss is given, which lqg does not use; expected ideal links"):
+    with pytest.raises(
+        ProblemError, match=r"links\.b\.loss is given, which the policy kind lqg does not use; expected ideal links"
+    ):
         design.lqg(plant, cost, theta=0.1, network=replace(network, links={"b": LinkLaw(loss=0.1)}))
     with pytest.raises(ProblemError, match="network is 3; expected a Network"):
         design.lqg(plant, cost, theta=0.1, network=3)  # pyright: ignore[reportArgumentType]
@@ -162,7 +164,7 @@ def test_messages_about_losses_name_the_keys_of_the_links(horizon: int | None) -
     nodes = {"gauge": NodeRole(measures=True), "plc": NodeRole(controls=True), "valve": NodeRole(applies=True)}
     network = Network(nodes=nodes, links={"gauge": LinkLaw(loss=0.1), "valve": LinkLaw(loss=0.9)})
     plant, cost = Plant([[2.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]], horizon=horizon)
-    sentence = r"^links\.valve\.loss is 0\.9 and links\.gauge\.loss is 0\.1, and for this plant"
+    sentence = r"links\.valve\.loss is 0\.9 and links\.gauge\.loss is 0\.1, and for this plant"
     problem = Problem(plant, cost, network, "lossy-lqg", {"price": 0.1})
     for one in (problem.design, partial(design.lossy_lqg, plant, cost, price=0.1, network=network)):
         if horizon is None:
@@ -175,7 +177,10 @@ def test_messages_about_losses_name_the_keys_of_the_links(horizon: int | None) -
         links={"valve": LinkLaw(burst=taciturn.Burst(0.5, 0.5, 0.8, 0.9), acknowledged=True)},
     )
     if horizon is None:
-        with pytest.raises(UnstableError, match=r"^links\.valve\.burst is 0\.8 and 0\.9 in its states, and the mean"):
+        with pytest.raises(
+            UnstableError,
+            match=r"links\.valve\.burst sets the loss probability 0\.8 and 0\.9 in its states, so the mean",
+        ):
             design.excess(plant, cost, theta=0.1, network=wired)
 
 

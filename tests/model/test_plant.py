@@ -24,6 +24,9 @@ CONTINUOUS: dict[str, Any] = {"A": [[0, 1], [0, 0]], "B": [[0], [1]], "W": [[0, 
 WEIGHTS: dict[str, Any] = {"Q": np.eye(2), "R": [[1.0]]}
 
 
+FORM = "such as [[0.9, 0.1], [0.0, 0.8]]"
+
+
 def refusal(make: Callable[..., object], data: dict[str, Any]) -> str:
     """Return the sentence with which data are refused."""
     with pytest.raises(ProblemError) as found:
@@ -31,42 +34,91 @@ def refusal(make: Callable[..., object], data: dict[str, Any]) -> str:
     return str(found.value)
 
 
+def test_a_number_is_a_matrix_or_vector_with_one_entry() -> None:
+    """In Python as in files, and for NumPy's numbers."""
+    plant = Plant(1.2, 1, np.float64(0.01), 2, 0.1, mean=1.0, covariance=np.array(0.5), input_limit=3.0, D=0.2)
+    same = Plant([[1.2]], [[1]], [[0.01]], [[2]], [[0.1]], mean=[1.0], covariance=[[0.5]], input_limit=[3.0], D=[[0.2]])
+    assert repr(plant) == repr(same)
+    assert np.array_equal(plant.mean, same.mean)
+    assert np.array_equal(ContinuousPlant(1.2, 1, 0.01).A, [[1.2]])
+    assert np.array_equal(ContinuousPlant(1.2, 1, jumps=Jumps(1.0, 0.5)).W, [[0.5]])
+    assert np.array_equal(Cost(1, 2, 0.5).N, [[0.5]])
+
+
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"A": [[1.0, 2.0]]}, "A has shape (1, 2); expected a square matrix with at least one state"),
-    ({"A": [1.0, 2.0]}, "A has shape (2,); expected (any, any) = (states, states)"),
-    ({"A": 1.0}, "A has shape (); expected (any, any) = (states, states)"),
+    ({"A": [1.0, 2.0]}, "A has shape (2,); expected the shape (any, any) = (states, states), such as [[1, 0], [0, 2]]"),
+    (
+        {"A": [1.0, 2.0, 3.0, 4.0]},
+        "A has shape (4,); expected the shape (any, any) = (states, states), such as [[1, 2], [3, 4]]",
+    ),
     ({"A": np.zeros((0, 0))}, "A has shape (0, 0); expected a square matrix with at least one state"),
-    ({"A": [[1.0], [2.0, 3.0]]}, "A is ragged: its rows differ in length; expected the shape (any, any)"),
-    ({"A": [["1.0"]]}, "A is not an array of numbers (it contains str values); expected the shape (any, any)"),
-    ({"A": np.array([[1j]])}, "A is not an array of numbers (it contains complex128 values); expected the shape"),
-    ({"A": [[10**400]]}, "A is not an array of numbers (int too large to convert to float); expected the shape"),
+    (
+        {"A": [[1.0], [2.0, 3.0]]},
+        "A has rows of different lengths: row 2 has 2 entries, and row 1 has 1 entry; expected rows of equal leng",
+    ),
+    (
+        {"A": [[1, 0], [0, 1], 2]},
+        "A has rows of different lengths: row 3 is 2, and row 1 has 2 entries; expected rows of equal length, suc",
+    ),
+    (
+        {"A": [[[1], 2], [3, 4]]},
+        "A has rows of different lengths: lists within its rows differ in length; expected rows of equal length",
+    ),
+    (
+        {"A": [["1.0"]]},
+        "A is not an array of numbers (it contains str values); expected an array of the shape (any, any)",
+    ),
+    ({"A": np.array([[1j]])}, "A is not an array of numbers (it contains complex128 values); expected an array"),
+    ({"A": [[10**400]]}, "A is not an array of numbers (int too large to convert to float); expected an array"),
     ({"A": [[{}]]}, "A is not an array of numbers ("),
-    ({"A": [[1.0, np.nan], [0.0, 1.0]]}, "A contains nan at index (0, 1); expected finite numbers"),
-    ({"A": [[1.0, 0.0], [-np.inf, 1.0]]}, "A contains -inf at index (1, 0); expected finite numbers"),
-    ({"B": [[0.0, 0.1]]}, "B has shape (1, 2); expected (2, any) = (states, inputs). Did you pass its transpose?"),
-    ({"B": [[0.0], [1.0], [2.0]]}, "B has shape (3, 1); expected (2, any) = (states, inputs)"),
+    (
+        {"A": [[1.0, np.nan], [0.0, 1.0]]},
+        "A contains the number nan at index (0, 1); expected an array of finite numbers",
+    ),
+    (
+        {"A": [[1.0, 0.0], [-np.inf, 1.0]]},
+        "A contains the number -inf at index (1, 0); expected an array of finite numbers",
+    ),
+    (
+        {"B": [[0.0, 0.1]]},
+        "B has shape (1, 2); expected the shape (2, any) = (states, inputs). Did you pass its transpose?",
+    ),
+    ({"B": [0.005, 0.1]}, "B has shape (2,); expected the shape (2, any) = (states, inputs), such as [[0.005], [0.1]]"),
+    (
+        {"B": [1, 2, 3]},
+        "B has shape (3,); expected the shape (2, any) = (states, inputs), such as [[0.9, 0.1], [0.0, 0.8]]",
+    ),
+    ({"B": 0.1}, "B is 0.1; expected the shape (2, any) = (states, inputs), such as [[0.9, 0.1], [0.0, 0.8]]"),
+    ({"C": [1, 0]}, "C has shape (2,); expected the shape (any, 2) = (outputs, states), such as [[1, 0]]"),
+    ({"W": 0.01}, "W is 0.01; expected the shape (2, 2) = (states, states), such as [[0.01, 0], [0, 0.01]]"),
+    ({"W": [1, 2]}, "W has shape (2,); expected the shape (2, 2) = (states, states), such as [[1, 0], [0, 2]]"),
+    ({"mean": 1.0}, "initial.mean is 1; expected the shape (2,) = (states,), such as [1, 1]"),
+    ({"B": [[0.0], [1.0], [2.0]]}, "B has shape (3, 1); expected the shape (2, any) = (states, inputs)"),
     ({"B": np.zeros((2, 0))}, "B has no columns; expected at least one input"),
-    ({"C": [[1.0], [0.0]]}, "C has shape (2, 1); expected (any, 2) = (outputs, states). Did you pass its transpose?"),
+    (
+        {"C": [[1.0], [0.0]]},
+        "C has shape (2, 1); expected the shape (any, 2) = (outputs, states). Did you pass its transpose?",
+    ),
     (
         {"C": np.zeros((0, 2))},
         "C has no rows; expected at least one measured output (omit C to measure the full state)",
     ),
-    ({"W": [[1.0]]}, "W has shape (1, 1); expected (2, 2) = (states, states)"),
+    ({"W": [[1.0]]}, "W has shape (1, 1); expected the shape (2, 2) = (states, states)"),
     (
         {"W": [[1, 0.5], [0.2, 1]]},
         "W is not symmetric: entry (0, 1) is 0.5 and (1, 0) is 0.2; expected a symmetric matrix",
     ),
     ({"W": [[1, 2], [2, 1]]}, "W has the eigenvalue -1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
     ({"V": [[-0.1]]}, "V has the eigenvalue -0.1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
-    ({"V": np.eye(2)}, "V has shape (2, 2); expected (1, 1) = (outputs, outputs)"),
-    ({"mean": [1.0]}, "initial.mean has shape (1,); expected (2,) = (states,)"),
-    ({"mean": [[1.0], [0.0]]}, "initial.mean has shape (2, 1); expected (2,) = (states,)"),
-    ({"covariance": [[1.0]]}, "initial.covariance has shape (1, 1); expected (2, 2) = (states, states)"),
+    ({"V": np.eye(2)}, "V has shape (2, 2); expected the shape (1, 1) = (outputs, outputs)"),
+    ({"mean": [1.0]}, "initial.mean has shape (1,); expected the shape (2,) = (states,)"),
+    ({"mean": [[1.0], [0.0]]}, "initial.mean has shape (2, 1); expected the shape (2,) = (states,), such as [1, 0]"),
+    ({"covariance": [[1.0]]}, "initial.covariance has shape (1, 1); expected the shape (2, 2) = (states, states)"),
     ({"covariance": -np.eye(2)}, "initial.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
-    ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,); expected (1,) = (inputs,)"),
+    ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,), but the plant has one input; expected the shape (1,)"),
     ({"input_limit": [0.0]}, "input_limit is 0; expected positive limits (omit it for no limit)"),
-    ({"input_limit": 1.0}, "input_limit has shape (); expected (1,) = (inputs,)"),
-    ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1, one per input"),
+    ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1 entries, one for each input"),
     (
         {"input_limit": [[1.0, 1.0]]},
         "input_limit[0] is [1.0, 1.0]; expected a positive number, or [low, high] with low < high",
@@ -75,11 +127,17 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"input_limit": [[np.inf, np.inf]]}, "input_limit[0] is [inf, inf]; expected a positive number, or [low, high]"),
     ({"input_limit": [[np.nan, 1.0]]}, "input_limit[0] is [nan, 1.0]; expected a positive number, or [low, high]"),
     ({"input_rate": [0.0]}, "input_rate is 0; expected positive limits (omit it for no limit)"),
-    ({"input_rate": [1.0, 1.0]}, "input_rate has shape (2,); expected (1,) = (inputs,)"),
-    ({**GROWING, "B": [[1.0], [0.0]]}, "(A, B) is not stabilisable: no input can move the mode at 1.1, which grows"),
-    ({**GROWING, "B": [[0.0], [0.0]]}, "expected a stabilisable plant; add an actuator, or remove the mode"),
-    ({**GROWING, "C": [[0.0, 1.0]]}, "(A, C) is not detectable: no measurement shows the mode at 1.1, which grows"),
-    ({**GROWING, "C": [[0.0, 0.0]]}, "expected a detectable plant; add a sensor, or remove the mode"),
+    ({"input_rate": [1.0, 1.0]}, "input_rate has shape (2,); expected the shape (1,) = (inputs,)"),
+    (
+        {**GROWING, "B": [[1.0], [0.0]]},
+        "(A, B) is not stabilisable: no input affects the growing mode with the eigenvalue 1.1; expected a",
+    ),
+    ({**GROWING, "B": [[0.0], [0.0]]}, "expected a stabilisable plant: add an actuator, or remove the mode"),
+    (
+        {**GROWING, "C": [[0.0, 1.0]]},
+        "(A, C) is not detectable: no measurement shows the growing mode with the eigenvalue 1.1; expected a",
+    ),
+    ({**GROWING, "C": [[0.0, 0.0]]}, "expected a detectable plant: add a sensor, or remove the mode"),
 ]
 
 
@@ -127,8 +185,8 @@ def test_an_oscillation_is_named_by_both_its_parts() -> None:
     A = np.zeros((3, 3))
     A[:2, :2], A[2, 2] = [[0, 2], [-2, 0]], 0.5
     told = refusal(Plant, {"A": A, "B": [[0], [0], [1]], "W": np.eye(3)})
-    assert "the mode at " in told
-    assert "2i, which grows" in told
+    assert "the growing mode with the eigenvalue " in told
+    assert "2i; expected a" in told
 
 
 def test_a_mode_that_decays_may_be_unmoved_and_unseen() -> None:
@@ -157,25 +215,32 @@ JUMPS = {"rate": 5.0, "covariance": [[0.0, 0.0], [0.0, 0.5]]}
     ("change", "sentence"),
     [
         ({"A": [[0, 1]]}, "A has shape (1, 2); expected a square matrix with at least one state"),
-        ({"B": [[0, 1]]}, "B has shape (1, 2); expected (2, any) = (states, inputs). Did you pass its transpose?"),
+        (
+            {"B": [[0, 1]]},
+            "B has shape (1, 2); expected the shape (2, any) = (states, inputs). Did you pass its transpose?",
+        ),
         ({"W": None}, "W is missing; expected the noise intensity per second (zeros for none), or jumps"),
         ({"W": -np.eye(2)}, "W has the eigenvalue -1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
-        ({"W": [[1], [1, 2]]}, "W is ragged: its rows differ in length; expected the shape (2, 2) = (states, states)"),
+        (
+            {"W": [[1], [1, 2]]},
+            "W has rows of different lengths: row 2 has 2 entries, and row 1 has 1 entry; expected rows of equal "
+            "length, " + FORM,
+        ),
         ({"jumps": Jumps(**JUMPS)}, "W and jumps are both given; expected one kind of noise: remove one"),
         ({"W": None, "jumps": (1.0, 2.0)}, "jumps is (1.0, 2.0); expected a Jumps"),
         (
             {"W": None, "jumps": Jumps(1.0, np.eye(3))},
-            "jumps.covariance has shape (3, 3); expected (2, 2) = (states, states)",
+            "jumps.covariance has shape (3, 3); expected the shape (2, 2) = (states, states)",
         ),
         (
             {"A": [[2, 1], [0, 2]], "B": [[1], [0]]},
-            "(A, B) is not stabilisable: no input can move the mode at 2, which grows; "
-            "expected a stabilisable plant; add an actuator, or remove the mode",
+            "(A, B) is not stabilisable: no input affects the growing mode with the eigenvalue 2; "
+            "expected a stabilisable plant: add an actuator, or remove the mode",
         ),
         (
             {"A": [[2, 1], [0, 2]], "C": [[0, 1]]},
-            "(A, C) is not detectable: no measurement shows the mode at 2, which grows; "
-            "expected a detectable plant; add a sensor, or remove the mode",
+            "(A, C) is not detectable: no measurement shows the growing mode with the eigenvalue 2; "
+            "expected a detectable plant: add a sensor, or remove the mode",
         ),
     ],
     ids=lambda value: str(value)[:30],
@@ -196,9 +261,15 @@ def test_jumps_have_the_intensity_of_their_rate() -> None:
     [
         ({"rate": 0.0}, "jumps.rate is 0; expected 0 < jumps.rate"),
         ({"rate": np.nan}, "jumps.rate is nan; expected a finite number"),
-        ({"covariance": [[1, 2]]}, "jumps.covariance has shape (1, 2); expected (1, 1)"),
-        ({"covariance": 1.0}, "jumps.covariance has shape (); expected (any, any) = (states, states)"),
-        ({"covariance": [[1], [1, 2]]}, "jumps.covariance is ragged: its rows differ in length"),
+        ({"covariance": [[1, 2]]}, "jumps.covariance has shape (1, 2); expected the shape (1, 1)"),
+        (
+            {"covariance": [1.0]},
+            "jumps.covariance has shape (1,); expected the shape (any, any) = (states, states), such as [[1]]",
+        ),
+        (
+            {"covariance": [[1], [1, 2]]},
+            "jumps.covariance has rows of different lengths: row 2 has 2 entries, and row 1 has 1 entry",
+        ),
         ({"covariance": [[-1]]}, "jumps.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"distribution": "gauss"}, "jumps.distribution is 'gauss'; expected 'normal', 'uniform' or 'two-point'"),
     ],
@@ -211,23 +282,26 @@ def test_jumps_that_do_not_fit_are_refused(change: dict[str, Any], sentence: str
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"Q": [[1.0, 0.0]]}, "Q has shape (1, 2); expected (1, 1) = (states, states)"),
-        ({"Q": 1.0}, "Q has shape (); expected (any, any) = (states, states)"),
+        ({"Q": [[1.0, 0.0]]}, "Q has shape (1, 2); expected the shape (1, 1) = (states, states)"),
+        ({"Q": [1.0]}, "Q has shape (1,); expected the shape (any, any) = (states, states), such as [[1]]"),
         ({"Q": np.diag([1.0, -1.0])}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"Q": [[1, 1], [0, 1]]}, "Q is not symmetric: entry (0, 1) is 1 and (1, 0) is 0; expected a symmetric matrix"),
-        ({"Q": [[np.nan]]}, "Q contains nan at index (0, 0); expected finite numbers"),
+        ({"Q": [[np.nan]]}, "Q contains the number nan at index (0, 0); expected an array of finite numbers"),
         ({"R": [[-1.0]]}, "R has the eigenvalue -1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
-        ({"R": [[1.0], [2.0]]}, "R has shape (2, 1); expected (2, 2) = (inputs, inputs)"),
-        ({"N": [[1.0, 0.0]]}, "N has shape (1, 2); expected (2, 1) = (states, inputs). Did you pass its transpose?"),
+        ({"R": [[1.0], [2.0]]}, "R has shape (2, 1); expected the shape (2, 2) = (inputs, inputs)"),
+        (
+            {"N": [[1.0, 0.0]]},
+            "N has shape (1, 2); expected the shape (2, 1) = (states, inputs). Did you pass its transpose?",
+        ),
         ({"N": [[2.0], [0.0]]}, "[[Q, N], [N', R]] has the eigenvalue -1; expected a positive semidefinite matrix"),
-        ({"horizon": 0}, "horizon is 0; expected a whole number, at least 1"),
-        ({"horizon": 1.5}, "horizon is 1.5; expected a whole number, at least 1"),
-        ({"horizon": True}, "horizon is True; expected a whole number, at least 1"),
+        ({"horizon": 0}, "horizon is 0; expected a whole number of at least 1"),
+        ({"horizon": 1.5}, "horizon is 1.5; expected a whole number of at least 1"),
+        ({"horizon": True}, "horizon is True; expected a whole number of at least 1"),
         (
             {"terminal": np.eye(2)},
-            "terminal is given without horizon; expected horizon and terminal, or neither of them",
+            "terminal is given without horizon; expected both horizon and terminal, or neither of them",
         ),
-        ({"horizon": 9, "terminal": [[1]]}, "terminal has shape (1, 1); expected (2, 2) = (states, states)"),
+        ({"horizon": 9, "terminal": [[1]]}, "terminal has shape (1, 1); expected the shape (2, 2) = (states, states)"),
         ({"horizon": 9, "terminal": -np.eye(2)}, "terminal has the eigenvalue -1; expected a positive semidefinite"),
         ({"discount": 0.0}, "discount is 0; expected 0 < discount ≤ 1"),
         ({"discount": 1.5}, "discount is 1.5; expected 0 ≤ discount ≤ 1"),
@@ -279,8 +353,8 @@ def test_a_burst_is_made_of_probabilities(name: str, value: float) -> None:
             {"protocol": "tcp", "sensor_loss": 0.1, "sensor_burst": Burst(**BURST)},
             "network.sensor_loss and network.sensor_burst are both given; expected one of them",
         ),
-        ({"delay": -1}, "network.delay is -1; expected a whole number, at least 0"),
-        ({"delay": 0.5}, "network.delay is 0.5; expected a whole number, at least 0"),
+        ({"delay": -1}, "network.delay is -1; expected a whole number of at least 0"),
+        ({"delay": 0.5}, "network.delay is 0.5; expected a whole number of at least 0"),
     ],
 )
 def test_a_network_that_does_not_fit_is_refused(data: dict[str, Any], sentence: str) -> None:

@@ -70,8 +70,8 @@ def test_an_unspecified_time_base_of_python_control_is_refused() -> None:
     with pytest.raises(ProblemError) as found:
         plant_from(control.StateSpace(A, B, C, D, dt=None), W, V)
     assert str(found.value) == (
-        "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
-        "create the system again with dt=0 or dt=…"
+        "the sampling period dt of the system is None, so it is unspecified; expected 0 (continuous) or the seconds "
+        "per step: create the system again with dt=0 or dt=…"
     )
 
 
@@ -79,7 +79,7 @@ def test_a_transfer_function_of_python_control_is_realised() -> None:
     """As one of scipy is, with the same care about its time base."""
     control = pytest.importorskip("control")
     np.testing.assert_allclose(plant_from(control.tf([1.0], [1.0, 3.0], dt=0), [[1.0]]).A, [[-3.0]])
-    with pytest.raises(ProblemError, match="which is unspecified"):
+    with pytest.raises(ProblemError, match="so it is unspecified"):
         plant_from(control.tf([1.0], [1.0, 3.0], dt=None), [[1.0]])
 
 
@@ -87,7 +87,9 @@ def test_what_has_no_state_space_is_refused() -> None:
     """A derivative, and a table of frequencies."""
     control, signal = pytest.importorskip("control"), pytest.importorskip("scipy.signal")
     for system in (signal.TransferFunction([1.0, 0.0, 0.0], [1.0, 1.0]), control.frd([1.0], [1.0])):
-        with pytest.raises(ProblemError, match=r"without a state space \(.*; expected an object with A, B, C, D, or"):
+        with pytest.raises(
+            ProblemError, match=r"without a state-space form \(.*; expected an object with A, B, C, D, or"
+        ):
             plant_from(system, [[1.0]])
 
 

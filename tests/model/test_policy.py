@@ -51,14 +51,14 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (TRANSPOSED, *STEPS[1:]),
         {},
-        "the weight of y in command has shape (2, 1); expected 2 columns, the entries of y. Did you",
+        "the weight of y in command has shape (2, 1); expected 2 columns, one for each entry of y. Did you",
     ),
     (
         (Assign("controller", "command", {"y": ONE}), *STEPS[1:]),
         {},
         "the weight of y in command has shape (1, 1); expected 2",
     ),
-    ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'one', 'y']"),
+    ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of the signals ['input'"),
     (
         (COMMAND, SEND, INPUT),
         {},
@@ -77,38 +77,42 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, DECIDE, Assign("controller", "held", ({"held": ONE},) * 3, "send")),
         {},
-        "held has 3 branches; expected 2, one per outcome of send",
+        "the step that computes held has 3 branches; expected 2 branches, one for each outcome of send",
     ),
     (
         (*STEPS, Evaluate("controller", "memory", (Form(constant=1.0),) * 3, Received("actuator"))),
         {},
-        "memory has 3 branches; expected 2, one per outcome of Received(link='actuator')",
+        "the step that computes memory has 3 branches; expected 2 branches, one for each outcome of Received(",
     ),
-    (STEPS[:3], {}, "input is never assigned; expected a signal with 1 entries that is assigned at the actuator"),
+    (
+        STEPS[:3],
+        {},
+        "the signal input is never assigned; expected a signal with 1 entries that is assigned at the node",
+    ),
     (
         (Assign("actuator", "input", {"y": np.eye(2)}),),
         {},
-        "input has 2 entries; expected a signal with 1 entries that is assigned at the",
+        "the signal input has 2 entries; expected a signal with 1 entries that is assigned at the node",
     ),
     (
         (COMMAND, Assign("controller", "command", {"y": np.eye(2)}), *STEPS[1:]),
         {},
-        "command has 1 entries in one step and 2 in another; expected equal sizes",
+        "the signal command has 1 entries in one step and 2 in another; expected equal sizes",
     ),
     (
         (COMMAND, Decide("controller", "send", Trigger({"a": Form(("y",), ONE), "b": Form()})), SEND, INPUT),
         {},
-        "Psi for ('y',) has shape (1, 1); expected (2, 2)",
+        "the matrix Psi for the signals ('y',) has shape (1, 1); expected the shape (2, 2)",
     ),
     (
         (*STEPS, Evaluate("controller", "sum", (Form(plus={"y": 1.0}),))),
         {},
-        "y has 2 entries; expected a scalar signal",
+        "the signal y has 2 entries; expected a scalar signal",
     ),
     (
         (COMMAND, DECIDE, Send("controller", "actuator", ("comand",), "send"), INPUT),
         {},
-        "the signal 'comand' is never assigned; expected one of ['command', 'input', 'one', 'y']",
+        "the signal 'comand' is never assigned; expected one of the signals ['command', 'input', 'one', 'y']",
     ),
     (
         (COMMAND, DECIDE, Send("controller", "actuator", ("command",), "send", ("sent",)), INPUT),
@@ -140,31 +144,31 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         STEPS,
         {"locations": (Location("mode", np.zeros((2, 3)), "controller", "send"),)},
-        "location mode has 3 columns; expected 2, one per outcome of send",
+        "the table of the location mode has 3 columns; expected 2 columns, one for each outcome of send",
     ),
     (
         STEPS,
         {"locations": (Location("mode", np.zeros((2, 2)), "controller", "query"),)},
-        "the condition 'query' is not a decision; expected one of ['send']",
+        "the condition 'query' is not a decision; expected one of the decisions ['send']",
     ),
     (STEPS, {"initial": {"nothing": [1.0]}}, "the signal 'nothing' is never assigned; expected one of"),
-    (STEPS, {"initial": {"input": [1.0, 2.0]}}, "initial input has shape (2,); expected (1,)"),
+    (STEPS, {"initial": {"input": [1.0, 2.0]}}, "initial input has shape (2,); expected the shape (1,)"),
     (STEPS, {"tick": 0.0}, "tick is 0; expected 0 < tick"),
     (STEPS, {"tick": np.nan}, "tick is nan; expected a finite number"),
     (
         STEPS,
         {"theory": Theory(cost_all_time=np.nan)},
-        "the cost of sending every sample of large is nan; expected a finite number: scale the problem",
+        "the cost of sending every sample of the policy large is nan; expected a finite number: scale the problem",
     ),
     (
         STEPS,
         {"theory": Theory(guarantee=Guarantee(np.inf, "J ≤ ∞", "none"))},
-        "the guaranteed cost of large is inf; expected a finite",
+        "the guaranteed cost of the policy large is inf; expected a finite",
     ),
     (
         STEPS,
         {"theory": Theory(closed_form=ClosedForm(np.inf, {}))},
-        "the cost of large is inf; expected a finite number",
+        "the cost of the policy large is inf; expected a finite number",
     ),
 ]
 
@@ -189,44 +193,65 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
     [
         (
             lambda: Assign("controller", "u", ()),
-            "u has 0 branches and the condition None; expected one branch without a condition",
+            "the step that computes u has 0 branches and the condition None; expected one branch without a condition",
         ),
         (
             lambda: Assign("controller", "u", ({"y": L}, {"y": L})),
-            "u has 2 branches and the condition None; expected one branch without a condition, or several branches",
+            "the step that computes u has 2 branches and the condition None; expected one branch without a",
         ),
         (
             lambda: Assign("controller", "u", {"y": L}, Received("sensor")),
-            "u has 1 branches and the condition Received(link='sensor'); expected one branch without a condition, or",
+            "the step that computes u has 1 branches and the condition Received(link='sensor'); expected one branch",
         ),
         (
             lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}),
-            "the terms of u have [1, 2] rows; expected equal",
+            "the matrices that compute u have [1, 2] rows; expected equal",
         ),
-        (lambda: Assign("controller", "u", {"y": [1.0]}), "the weight of y in u has shape (1,); expected (any, any)"),
-        (lambda: Assign("controller", "u", {"y": [[np.inf]]}), "the weight of y in u contains inf at index (0, 0)"),
+        (
+            lambda: Assign("controller", "u", {"y": [1.0]}),
+            "the weight of y in u has shape (1,); expected the shape (any, any)",
+        ),
+        (
+            lambda: Assign("controller", "u", {"y": [[np.inf]]}),
+            "the weight of y in u contains the number inf at index (0, 0)",
+        ),
         (
             lambda: Assign("controller", "u", {"y": Scheduled("clock", [1.0, 2.0])}),
             "the weight of y in u is a table of numbers; expected a table of matrices",
         ),
         (
             lambda: Evaluate("controller", "s", (Form(), Form())),
-            "s has 2 forms and the condition None; expected one form without a condition, or several forms",
+            "the step that computes s has 2 forms and the condition None; expected one form without a",
         ),
         (
             lambda: Evaluate("controller", "s", (Form(),), "send"),
-            "s has 1 forms and the condition send; expected one form without a condition, or several forms",
+            "the step that computes s has 1 forms and the condition send; expected one form without a",
         ),
         (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
-        (lambda: Form(("y",)), "a form has signals ('y',) without Psi; expected Psi and signals, or neither of them"),
-        (lambda: Form(Psi=ONE), "a form has Psi without signals; expected Psi and signals, or neither of them"),
-        (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi for ('y',) is not symmetric; expected a symmetric matrix"),
-        (lambda: Form(("y",), [[1, 2]]), "Psi for ('y',) is not symmetric; expected a symmetric matrix"),
-        (lambda: Form(("y",), [[np.nan]]), "Psi contains nan at index (0, 0); expected finite numbers"),
+        (
+            lambda: Form(("y",)),
+            "a quadratic form has signals ('y',) without Psi; expected Psi and signals, or neither of them",
+        ),
+        (
+            lambda: Form(Psi=ONE),
+            "a quadratic form has Psi without signals; expected Psi and signals, or neither of them",
+        ),
+        (
+            lambda: Form(("y",), [[1, 2], [3, 4]]),
+            "the matrix Psi for the signals ('y',) is not symmetric; expected a symmetric matrix",
+        ),
+        (
+            lambda: Form(("y",), [[1, 2]]),
+            "the matrix Psi for the signals ('y',) is not symmetric; expected a symmetric matrix",
+        ),
+        (
+            lambda: Form(("y",), [[np.nan]]),
+            "Psi contains the number nan at index (0, 0); expected an array of finite numbers",
+        ),
         (
             lambda: Form(("y",), Scheduled("clock", [[[1, 2], [3, 4]]])),
-            "Psi for ('y',) is not symmetric; expected a symmetric matrix",
+            "the matrix Psi for the signals ('y',) is not symmetric; expected a symmetric matrix",
         ),
         (lambda: Form(("y",), Scheduled("clock", [1.0])), "Psi is a table of numbers; expected a table of matrices"),
         (lambda: Form(constant=np.nan), "the constant of a form is nan; expected a finite number"),
@@ -237,15 +262,15 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Form(plus={"s": np.inf}), "the weight of s is inf; expected a finite number"),
         (
             lambda: Scheduled("clock", []),
-            "the table indexed by 'clock' has shape (0,); expected (locations,) or (locations, rows",
+            "the table indexed by 'clock' has shape (0,); expected the shape (locations,) or (locations, rows",
         ),
         (
             lambda: Scheduled("clock", [[1.0]]),
-            "the table indexed by 'clock' has shape (1, 1); expected (locations,) or",
+            "the table indexed by 'clock' has shape (1, 1); expected the shape (locations,) or",
         ),
         (
             lambda: Scheduled("clock", [1.0, np.nan]),
-            "the table indexed by 'clock' contains nan at index (1,); expected finite",
+            "the table indexed by 'clock' contains the number nan at index (1,); expected an array of finite",
         ),
         (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table indexed by 'clock' is not an array of numbers ("),
         (
@@ -265,13 +290,12 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
             "the table of location clock has no entries; expected integers that are at least 0 and below 0",
         ),
         (
-            lambda: Location("clock", np.array(0)),
-            "the table of location clock has shape (); expected (any,) = (locations,)",
+            lambda: Location("clock", np.zeros((2, 2))),
+            "the table of location clock has shape (2, 2); expected the shape (any,)",
         ),
-        (lambda: Location("clock", np.zeros((2, 2))), "the table of location clock has shape (2, 2); expected (any,)"),
         (
             lambda: Location("mode", np.zeros(2), "controller", "send"),
-            "the table of location mode has shape (2,); expected (any, any) = (locations, outcomes)",
+            "the table of location mode has shape (2,); expected the shape (any, any) = (locations, outcomes)",
         ),
         (
             lambda: Location("clock", np.array([0]), initial=1),
@@ -364,7 +388,9 @@ def test_a_policy_without_theory_is_run_and_claims_nothing() -> None:
     assert (policy.cost, policy.guarantee, policy.theory.cost_all_time) == (None, None, None)
     assert str(policy).startswith("large\n")
     told = refusal(lambda: policy.cost_all_time)
-    assert told.startswith("the cost of sending every sample is unknown for large; expected Theory(cost_all_time=…)")
+    assert told.startswith(
+        "the cost of sending every sample is unknown for the policy large; expected Theory(cost_all_time=…)"
+    )
     found = average(close(PLANT, policy, cost=Cost(np.eye(2), ONE)), steps=20_000)
     assert 0 < found.rates["actuator"].value < 1
 

@@ -60,7 +60,7 @@ def test_a_reference_is_frozen_and_its_own() -> None:
             held[...] = 7
 
 
-SIZES = "expected (4, any) = (steps + 1, states)"
+SIZES = "expected the shape (4, any) = (steps + 1, states)"
 SHORT, PUSH = np.zeros((4, 2)), np.zeros((3, 1))
 
 
@@ -70,14 +70,26 @@ SHORT, PUSH = np.zeros((4, 2)), np.zeros((3, 1))
         (np.zeros((3, 2)), PUSH, "reference.states has shape (3, 2); " + SIZES),
         (np.zeros((5, 2)), PUSH, "reference.states has shape (5, 2); " + SIZES),
         (np.zeros(4), PUSH, "reference.states has shape (4,); " + SIZES),
-        (SHORT, np.zeros(3), "reference.inputs has shape (3,); expected (any, any) = (steps, inputs)"),
-        (SHORT * np.nan, PUSH, "reference.states contains nan at index (0, 0); expected finite numbers"),
-        (SHORT, [[0], [np.inf], [0]], "reference.inputs contains inf at index (1, 0); expected finite numbers"),
-        ([[0, 0], [0]], [[0]], "reference.states is ragged: its rows differ in length; expected the shape (2, any) = "),
+        (SHORT, np.zeros(3), "reference.inputs has shape (3,); expected the shape (any, any) = (steps, inputs)"),
+        (
+            SHORT * np.nan,
+            PUSH,
+            "reference.states contains the number nan at index (0, 0); expected an array of finite numbers",
+        ),
+        (
+            SHORT,
+            [[0], [np.inf], [0]],
+            "reference.inputs contains the number inf at index (1, 0); expected an array of finite numbers",
+        ),
+        (
+            [[0, 0], [0]],
+            [[0]],
+            "reference.states has rows of different lengths: row 2 has 1 entry, and row 1 has 2 entries; expected rows",
+        ),
         (
             "abc",
             [[0]],
-            "reference.states is not an array of numbers (it contains str values); expected the shape (2, any)",
+            "reference.states is not an array of numbers (it contains str values); expected an array of the shape",
         ),
     ],
     ids=["too few", "too many", "flat", "flat inputs", "nan", "inf", "ragged", "text"],
@@ -92,11 +104,20 @@ def test_what_is_no_reference_is_refused(states: Any, inputs: Any, sentence: str
     [
         (
             Reference(SHORT, PUSH),
-            "reference.inputs has shape (3, 1); expected (30, 1), from the horizon and the dimensions of the",
+            "reference.inputs has shape (3, 1); expected the shape (30, 1), from the horizon and the dimensions of the",
         ),
-        (Reference(np.zeros((32, 2)), np.zeros((31, 1))), "reference.inputs has shape (31, 1); expected (30, 1), from"),
-        (Reference(np.zeros((31, 2)), np.zeros((30, 2))), "reference.inputs has shape (30, 2); expected (30, 1), from"),
-        (Reference(np.zeros((31, 3)), np.zeros((30, 1))), "reference.states has shape (31, 3); expected (31, 2), from"),
+        (
+            Reference(np.zeros((32, 2)), np.zeros((31, 1))),
+            "reference.inputs has shape (31, 1); expected the shape (30, 1), from",
+        ),
+        (
+            Reference(np.zeros((31, 2)), np.zeros((30, 2))),
+            "reference.inputs has shape (30, 2); expected the shape (30, 1), from",
+        ),
+        (
+            Reference(np.zeros((31, 3)), np.zeros((30, 1))),
+            "reference.states has shape (31, 3); expected the shape (31, 2), from",
+        ),
     ],
     ids=["short", "long", "two inputs", "three states"],
 )
@@ -147,8 +168,8 @@ def test_a_reference_without_an_end_is_refused() -> None:
     endless = Cost(COST.Q, COST.R)
     told = refusal(lambda: design.lossy_lqg(plant(), endless, price=1, reference=motion(1)))
     assert (
-        told
-        == "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
+        told == "a reference trajectory is given without cost.horizon; expected cost.horizon as well, because the "
+        "trajectory is finite"
     )
 
 
@@ -238,7 +259,7 @@ def test_a_mission_of_another_length_is_refused() -> None:
     """The reference ends where the finite-horizon run ends."""
     policy = tracked(motion(1), NETWORKS[0], OFF).policy
     told = refusal(lambda: close(plant(), policy, cost=Cost(COST.Q, COST.R, horizon=STEPS + 1)))
-    assert told == "cost.horizon is 31, but the reference has 30 steps; expected equal lengths"
+    assert told == "cost.horizon is 31, but the reference has 30 steps; expected a horizon as long as the reference"
     other = Cost(2 * COST.Q, COST.R, horizon=STEPS)
     assert "the cost is not the one of the design" in close(policy.model, policy, cost=other).violated_assumptions
 
@@ -261,4 +282,4 @@ def test_the_number_one_cannot_be_assigned(step: Any) -> None:
     )
     assert close(plant(), Policy("pushes", steps, plant(), sites=SITES), cost=COST).policy.sizes[ONE] == 1
     told = refusal(lambda: Policy("wrong", (*steps, step), plant()))
-    assert told == "'one' is assigned, but this name denotes the number 1; expected another name"
+    assert told == "a policy step assigns 'one', but this name denotes the number 1; expected another name"

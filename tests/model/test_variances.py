@@ -11,7 +11,7 @@ import taciturn
 from taciturn import PID, Cost, Disturbance, Plant, ProblemError, design
 from taciturn.base.given_controller import cost_as_now
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.evaluation import sends_every_sample
+from taciturn.study.further_loops import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
@@ -49,7 +49,7 @@ def test_the_present_loop_weighs_its_variances_equally() -> None:
     policy = design.excess(TANK, cost, theta=0.1, controller=KEPT)
     assert policy.cost_all_time == pytest.approx(2.0, rel=1e-9)
     always = taciturn.close(TANK, sends_every_sample(policy))
-    run = simulate(always, ticks=20_000, seed=1)
+    run = simulate(always, steps=20_000, seed=1)
     x, u = np.asarray(run.state)[2000:], np.asarray(run.input)[2000:]
     assert np.var(x[:, 0]) * cost.Q[0, 0] == pytest.approx(1.0, rel=0.15)
     assert np.var(u) * cost.R.item() == pytest.approx(1.0, rel=0.15)
@@ -82,13 +82,16 @@ def test_a_problem_file_states_variances(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("cost", "words"),
     [
-        ("Q = [[1.0, 0.0], [0.0, 1.0]]", "the key cost.R is missing; expected it in [cost], or output_variance"),
+        (
+            "Q = [[1.0, 0.0], [0.0, 1.0]]",
+            "the key cost.R is missing; expected it in the table [cost], or output_variance",
+        ),
         ("output_variance = [0.01]", "the key cost.input_variance is missing"),
-        ("output_variance = [0.01]\nR = [[1.0]]", "cost.output_variance and cost.R are given; expected one"),
+        ("output_variance = [0.01]\nR = [[1.0]]", "cost.output_variance and cost.R are both given; expected only one"),
         ("output_variance = [0.01]\ninput_variance = [-4.0]", "input_variance contains -4; expected positive"),
         ("output_variance = [0.01, 1.0]\ninput_variance = [4.0]", "output_variance has shape (2,); expected"),
         ('weights = "mine"', "cost.weights is 'mine'; expected 'as the controller'"),
-        ('weights = "as the controller"\nQ = [[1.0]]', "cost.weights and cost.Q are given"),
+        ('weights = "as the controller"\nQ = [[1.0]]', "cost.weights and cost.Q are both given"),
     ],
 )
 def test_a_wrong_cost_is_refused(tmp_path: Path, cost: str, words: str) -> None:

@@ -114,7 +114,7 @@ def test_loops_of_three_hundred_random_systems_agree_bit_for_bit() -> None:
 
 def undrawn(monkeypatch: pytest.MonkeyPatch, loop: Loop) -> Program:
     """Return the program of a loop whose draws are inputs."""
-    monkeypatch.setattr("taciturn.loop.with_draws", lambda program: program)
+    monkeypatch.setattr("taciturn.loop.with_draws", lambda program, uniforms: program)
     return loop.program()
 
 

@@ -76,6 +76,6 @@ def test_what_is_no_bell_is_refused() -> None:
         GaussianTerm(1.0, [[1.0, 0.0]])
     with pytest.raises(
         ProblemError,
-        match=r"a form has a Gaussian term \(bell\) without signals; expected signals with it, or no Gaussian term",
+        match=r"a quadratic form has a Gaussian term \(bell\) without signals; expected signals as well",
     ):
         Form(bell=GaussianTerm(1.0, [[1.0]]))

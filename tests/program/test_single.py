@@ -99,7 +99,8 @@ def test_costs_beyond_the_range_of_single_precision_are_refused(scale: float) ->
     loop = taciturn.close(plant, taciturn.design.lqg(plant, cost, theta=0.2))
     assert taciturn.average(loop, steps=100_000).rates["actuator"].value > 0.01
     with pytest.raises(
-        ProblemError, match=r"precision is 'float32', but the cost of a step is about .*outside this format's range"
+        ProblemError,
+        match=r"precision is 'float32', but the cost of a step is about .*outside the range of this format",
     ):
         replace(loop, precision="float32")
 

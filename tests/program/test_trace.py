@@ -351,16 +351,28 @@ BAD: dict[str, tuple[Callable[..., Any], str]] = {
     "sine of floats": (lambda x, u: x * math.sin(x[0]), "number to a float \\(as math.sin.* np.stack"),
     "float": (lambda x, u: x * float(x[0]), "converts a traced number to a float"),
     "range": (lambda x, u: x * len(range(x[0])), "converts a traced number to an integer"),
-    "transform": (lambda x, u: np.fft.fft(x), "uses np.fft, which cannot be traced; expected one of absolute"),
-    "cube root": (lambda x, u: np.cbrt(x), "uses np.cbrt, which cannot be traced; expected one of absolute"),
+    "transform": (
+        lambda x, u: np.fft.fft(x),
+        "uses np.fft, which cannot be traced; expected one of absolute",
+    ),
+    "cube root": (
+        lambda x, u: np.cbrt(x),
+        "uses np.cbrt, which cannot be traced; expected one of absolute",
+    ),
     "accumulate": (lambda x, u: np.add.accumulate(x), "uses np.add.accumulate, which cannot be traced"),
-    "masked": (lambda x, u: np.add(x, 1.0, where=[True, False, True, False]), "uses np.add with where, initial or"),
-    "begun": (lambda x, u: x * x.sum(initial=2.0), "uses np.add with where, initial or dtype, which cannot be traced"),
+    "masked": (
+        lambda x, u: np.add(x, 1.0, where=[True, False, True, False]),
+        "uses np.add with one of the arguments where, initial and",
+    ),
+    "begun": (
+        lambda x, u: x * x.sum(initial=2.0),
+        "uses np.add with one of the arguments where, initial and dtype, which cannot be traced",
+    ),
     "order": (lambda x, u: x * np.linalg.norm(x, 1), "np.linalg.norm of order 1 cannot be traced; expected the Eucl"),
     "exponent": (lambda x, u: x**2.3, "the exponent of a traced number is 2.3; expected a constant integer or"),
     "traced exponent": (lambda x, u: 2.0**x, "the exponent of a traced number is a traced number; expected"),
-    "short": (lambda x, u: x[:2], r"returns f of shape \(2,\); expected \(4,\), one number per entry"),
-    "matrix": (lambda x, u: np.outer(x, x), r"returns f of shape \(4, 4\); expected \(4,\)"),
+    "short": (lambda x, u: x[:2], r"returns f of shape \(2,\); expected the shape \(4,\), one number for each entry"),
+    "matrix": (lambda x, u: np.outer(x, x), r"returns f of shape \(4, 4\); expected the shape \(4,\)"),
     "nothing": (lambda x, u: None, r"returns nothing; expected the vector f"),
     "no number": (lambda x, u: np.append(x[:3], np.nan), "returns nan as entry 3 of f for .* expected a finite number"),
     "infinite": (lambda x, u: np.append(x[:3], np.inf), "returns inf as entry 3 of f for all"),
@@ -392,9 +404,9 @@ def test_what_cannot_be_traced_is_said_in_one_sentence(name: str) -> None:
 def test_several_results_are_a_tuple() -> None:
     """Of as many, and of their sizes."""
     assert list(traced(lambda x, u: (x, u[0]), {"f": 4, "g": 1}).outputs) == ["f 0", "f 1", "f 2", "f 3", "g 0"]
-    with pytest.raises(ProblemError, match="returns 3 values; expected a tuple of 2: f, g"):
+    with pytest.raises(ProblemError, match="returns 3 values; expected a tuple of 2 vectors: f, g"):
         traced(lambda x, u: (x, u, x), {"f": 4, "g": 2})
-    with pytest.raises(ProblemError, match="returns one vector; expected a tuple of 2: f, g"):
+    with pytest.raises(ProblemError, match="returns one vector; expected a tuple of 2 vectors: f, g"):
         traced(lambda x, u: x, {"f": 4, "g": 2})
-    with pytest.raises(ProblemError, match=r"returns g of shape \(2,\); expected \(1,\)"):
+    with pytest.raises(ProblemError, match=r"returns g of shape \(2,\); expected the shape \(1,\)"):
         traced(lambda x, u: (x, u), {"f": 4, "g": 1})

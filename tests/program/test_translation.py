@@ -99,7 +99,7 @@ class Told:
 def undrawn(loop: Loop) -> Program:
     """Return the program of a loop whose draws are inputs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taciturn.loop.with_draws", lambda program: program)
+        patch.setattr("taciturn.loop.with_draws", lambda program, uniforms: program)
         return loop.program()
 
 

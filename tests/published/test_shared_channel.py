@@ -20,7 +20,7 @@ def shared(scheduler: SchedulerName, ticks: int, confidence: float = 0.0) -> Sha
     plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-9]])
     problem = Problem(plant, cost, Network(), "lqg", {"theta": 0.1})
     return share_channel(
-        {"integrator": problem}, copies=LOOPS, capacity=1, scheduler=scheduler, ticks=ticks, confidence=confidence
+        {"integrator": problem}, copies=LOOPS, capacity=1, scheduler=scheduler, steps=ticks, confidence=confidence
     )
 
 

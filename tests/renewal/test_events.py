@@ -335,7 +335,7 @@ def test_a_cycle_that_never_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_sweep_over_no_list_is_refused() -> None:
-    """One number, or nothing."""
-    for wrong in (1.0, None):
+    """A text, a matrix, or nothing."""
+    for wrong in ("1", [[1.0]], None):
         with pytest.raises(ProblemError, match="cs "):
             sweep_thresholds(DOUBLE, wrong)

@@ -93,7 +93,9 @@ def test_what_is_hardly_ever_sent_is_refused() -> None:
     """A price beyond what a stable error ever costs, and an error that nothing moves."""
     with pytest.raises(ProblemError, match=r"less than once in 5000 checks; expected a lower price or threshold"):
         fit_schedule(0.5 * UNIT, UNIT, UNIT, 100.0)
-    with pytest.raises(ProblemError, match=r"reaches no direction of the error that Γ weighs; expected at least one"):
+    with pytest.raises(
+        ProblemError, match=r"affects no direction of the error to which Γ gives weight; expected at least one"
+    ):
         fit_schedule(UNIT, 0 * UNIT, UNIT, 1.0)
 
 

@@ -319,8 +319,8 @@ def test_an_accuracy_out_of_reach_is_told():
     [
         (Chain(np.eye(4), np.eye(4), np.eye(4), 1.0, np.eye(4)), "4 directions .* at most 3; simulate"),
         (Chain(np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0, UNIT), "excites 1 of the 2 directions"),
-        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing would ever be sent"),
-        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing would ever be sent"),
+        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "the policy would never send"),
+        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "the policy would never send"),
         (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "grows without bound in a direction"),
         (Chain(0.99 * np.eye(3), np.eye(3), np.eye(3), 1e4, np.eye(3)), "spreads over too many standard deviations"),
         (scalar(0.0, 81.0), "have a relative error of .* simulate instead"),

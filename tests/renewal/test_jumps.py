@@ -334,7 +334,7 @@ def test_chains_beyond_the_method_are_refused_in_a_sentence() -> None:
     refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, law="uniform"), "uniform")
     refused(chain(np.diag([0.1, 0.2, 0.3]), np.eye(3), 1.0, 1.0, 1.0), "3 dimensions")
     refused(Chain(np.eye(1), np.eye(1), np.eye(1), 1.0, np.eye(1)), "does not consist of jumps")
-    refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, Psi=np.zeros((1, 1))), "nothing would ever be sent")
+    refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, Psi=np.zeros((1, 1))), "the policy would never send")
     refused(chain([[0.0, 4.0], [-4.0, 0.0]], [[1.0], [0.0]], 1.0, 1.0, 1.0), "half a turn")
     refused(chain(0.0, 1.0, 0.01, 1.0, 1.0), "too rare")
     refused(chain(0.0, 0.001, 1.0, 1.0, 1e4), "more than this quadrature supports")

@@ -293,14 +293,16 @@ def test_a_region_with_a_gap_is_refused():
     """A strongly sheared neutral chain keeps errors on either side of some that it sends."""
     F = np.array([[2.27, 2.91], [-0.557, -0.273]])
     Gamma = np.diag([0.0014, 0.0107])
-    with pytest.raises(NoQuadratureError, match=r"region of errors without a send has gaps.*near-optimal"):
+    with pytest.raises(
+        NoQuadratureError, match=r"region of errors in which the policy does not send has gaps.*near-optimal"
+    ):
         solve_optimal(F, UNIT, Gamma, 1.0, 1e-3)
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (([[1.0, 0.0]], [[1.0]], [[1.0]], 1.0), r"F has shape \(1, 2\); expected \(1, 1\)"),
+        (([[1.0, 0.0]], [[1.0]], [[1.0]], 1.0), r"F has shape \(1, 2\); expected the shape \(1, 1\)"),
         ((UNIT, [[1.0]], UNIT, 1.0), "noise has shape"),
         ((UNIT, -UNIT, UNIT, 1.0), "noise has the eigenvalue -1"),
         ((UNIT, UNIT, [[1.0, 2.0], [2.0, 1.0]], 1.0), "Gamma has the eigenvalue -1"),
@@ -309,8 +311,8 @@ def test_a_region_with_a_gap_is_refused():
         ((UNIT, UNIT, UNIT, 1.0, 2.0), "accuracy is 2; expected 0 < accuracy < 1"),
         ((np.eye(4), np.eye(4), np.eye(4), 1.0), "4 directions .* at most 3; .* 'near-optimal'"),
         ((np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0), "excites 1 of the 2 .* 'near-optimal'"),
-        ((UNIT, UNIT, 0 * UNIT, 1.0), "nothing would ever be sent"),
-        ((UNIT, 0 * UNIT, UNIT, 1.0), "nothing would ever be sent"),
+        ((UNIT, UNIT, 0 * UNIT, 1.0), "the policy would never send"),
+        ((UNIT, 0 * UNIT, UNIT, 1.0), "the policy would never send"),
         (([[0.0]], [[1.0]], [[1.0]], 100.0), "a lower price, or near-optimal"),
     ],
 )

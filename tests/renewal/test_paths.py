@@ -203,8 +203,8 @@ def test_truncated_draws_stay_on_their_chord_however_far_out_it_is(low, high):
 @pytest.mark.parametrize(
     ("chain", "sentence"),
     [
-        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing would ever be sent"),
-        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing would ever be sent"),
+        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "the policy would never send"),
+        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "the policy would never send"),
         (Chain(0 * UNIT, UNIT, UNIT, 60.0, UNIT), "the probability of no send in 4096 checks is 1, "),
         (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "grows without bound in a direction"),
         (Chain(UNIT, JumpNoise(UNIT, Jumps(1.0, UNIT), 1.0), UNIT, 1.0, UNIT), "the noise consists of jumps"),

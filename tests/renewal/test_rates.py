@@ -206,7 +206,7 @@ def test_a_window_that_is_always_sent_in_has_as_many_sends_as_checks():
 def test_a_chain_that_is_never_sent_is_refused(solve):
     """Neither without noise nor with a Ψ that sees none of it."""
     for chain in (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), Chain(UNIT, np.diag([0, 1.0]), np.diag([1.0, 0]), 1.0, UNIT)):
-        with pytest.raises(NoQuadratureError, match="nothing would ever be sent"):
+        with pytest.raises(NoQuadratureError, match="the policy would never send"):
             solve(chain)
 
 

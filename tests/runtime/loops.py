@@ -28,7 +28,7 @@ Records = Mapping[str, np.ndarray]
 
 def open_program(loop: Loop) -> Program:
     """Return the loop with its draws as inputs."""
-    with patch("taciturn.loop.with_draws", lambda program: program):
+    with patch("taciturn.loop.with_draws", lambda program, uniforms: program):
         whole = loop.program()
     return whole.keep(outputs=set(whole.outputs))
 
@@ -85,6 +85,11 @@ def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int =
 
 def by_hand(file: str | Problem, ticks: int, seed: int) -> np.ndarray:
     """Return the costs of a problem's nodes and plant in this process, over links that lose what relays would lose."""
+    return in_this_process(file, ticks, seed)[0]
+
+
+def in_this_process(file: str | Problem, ticks: int, seed: int) -> tuple[np.ndarray, Mapping[str, Node]]:
+    """Return the same costs, and the nodes after the last step."""
     problem = taciturn.load(file) if isinstance(file, str) else file
     policy, fates = problem.design(), losses(problem.network, seed)
     nodes = {role: Node(policy, role, network=problem.network, seed=seed) for role in roles(policy)}
@@ -104,4 +109,4 @@ def by_hand(file: str | Problem, ticks: int, seed: int) -> np.ndarray:
                     continue
                 boxes[next(name for name, links in ends.items() if packet.link in links)].append(packet)
         costs[tick] = plant.move(u.tolist())
-    return costs
+    return costs, nodes

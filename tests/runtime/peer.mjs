@@ -3,9 +3,9 @@
 // The program plays one role in virtual time. It reads what `taciturn show FILE --wire` prints, so it knows no policy:
 //
 //     taciturn show two-mass --wire > two-mass.json
-//     node peer.mjs two-mass.json actuator --bind :9103 --plant :9100 --ticks 200
+//     node peer.mjs two-mass.json actuator --bind :9103 --plant :9100 --steps 200
 //
-// The options are --bind, --peer, --plant and --key as for `taciturn node`. After --ticks steps, or on SIGINT or
+// The options are --bind, --peer, --plant and --key as for `taciturn node`. After --steps steps, or on SIGINT or
 // SIGTERM, it prints its counters as one JSON line. It needs Node.js 20.15 or later, and no packages.
 
 import { randomBytes } from "node:crypto";
@@ -298,14 +298,14 @@ async function address(text) {
 async function main() {
   const text = { type: "string" };
   const { values: options, positionals: [file, role] } = parseArgs({
-    allowPositionals: true, options: { bind: text, peer: text, plant: text, ticks: text, key: text },
+    allowPositionals: true, options: { bind: text, peer: text, plant: text, steps: text, key: text },
   });
   const description = JSON.parse(readFileSync(file, "utf8"));
   const key = options.key ? Buffer.from(readFileSync(options.key, "utf8").trim(), "hex") : null;
   const own = await address(options.bind ?? ":0");
   const others = {};
   for (const name of ["peer", "plant"]) others[name] = options[name] && (await address(options[name]));
-  const ticks = Number(options.ticks ?? Infinity);
+  const ticks = Number(options.steps ?? Infinity);
   const wire = new Wire(description, key);
   const socket = createSocket("udp4"), datagrams = { sent: 0, received: 0 }, refused = {};
   let ending;

@@ -303,7 +303,7 @@ def test_what_is_no_linear_system_is_refused() -> None:
     for system in (scipy.signal.dlti([1.0], [1.0, 0.5]), crooked, table, TWO, None):
         with pytest.raises(ProblemError, match=f"system is a {type(system).__name__}; expected a control.StateSpace"):
             from_control(system, [[1.0]])
-    with pytest.raises(ProblemError, match="which is unspecified"):
+    with pytest.raises(ProblemError, match="so it is unspecified"):
         from_control(control.StateSpace(0.5, 1, 1, 0, None), [[1.0]])
 
 
@@ -315,7 +315,7 @@ def test_what_is_no_plant_policy_or_loop_is_refused() -> None:
         to_control(taciturn.load("two-mass-lqg"))
     for thing in (loop, policy.model):
         with pytest.raises(
-            ProblemError, match=f"network is given for a {type(thing).__name__}; expected network for a Po"
+            ProblemError, match=f"network is given for a {type(thing).__name__}; expected this argument only for a Po"
         ):
             to_control(thing, network=Network())
     with pytest.raises(InformationError):
@@ -329,7 +329,10 @@ def test_what_is_no_plant_policy_or_loop_is_refused() -> None:
 def test_bad_measurements_are_refused() -> None:
     """Of another size, and not finite; and what is no policy."""
     nodes = Nodes(design.lqg(TWO, WEIGHTS, theta=0.3))
-    for measured, sentence in (([1.0, 2.0], "measurement has shape"), ([np.nan], "expected finite numbers")):
+    for measured, sentence in (
+        ([1.0, 2.0], "measurement has shape"),
+        ([np.nan], "expected an array of finite numbers"),
+    ):
         with pytest.raises(ProblemError, match=sentence):
             nodes.step(measured)
     assert nodes.tick == 0

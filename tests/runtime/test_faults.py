@@ -44,7 +44,7 @@ def test_chapter_7_over_three_processes_costs_and_sends_what_the_loop_does(tmp_p
     """20 seeds of 1,000 steps, or fewer: cost and rate within three standard errors of the simulated loop."""
     file = chapter_7(tmp_path)
     expected = taciturn.evaluate(taciturn.load(file))
-    runs = [run_network(file, ticks=scaled(1000, 400), seed=seed) for seed in range(20)]
+    runs = [run_network(file, steps=scaled(1000, 400), seed=seed) for seed in range(20)]
     for run in runs:
         assert_added_up(run)
     for what, wanted in (("costs", expected.cost), ("sends", expected.rates["actuator"])):
@@ -59,7 +59,7 @@ def test_links_that_do_worse_cost_what_their_losses_cost(tmp_path: Path, fault: 
     """Doubled packets cost nothing; reordered and corrupted ones as much as lost ones, and all add up."""
     file = chapter_7(tmp_path)
     problem = taciturn.load(file)
-    found = run_network(file, ticks=4000, seed=8, fates=changed(losses(problem.network, 8), **{fault: what}))
+    found = run_network(file, steps=4000, seed=8, fates=changed(losses(problem.network, 8), **{fault: what}))
     shown(f"{fault} {what:.0%}", found)
     assert_added_up(found)
     counters = {name: report["counters"] for name, report in found.reports.items() if "counters" in report}
@@ -93,7 +93,7 @@ def test_a_node_that_is_killed_in_real_time_rejoins(tmp_path: Path, role: str, k
         await_ticks(processes, role, known + 1)
         away.append(time.monotonic() - killed)
 
-    found = run_network(chapter_7(tmp_path), ticks=450, tick=TICK, seed=1, key=KEY, meanwhile=kill)
+    found = run_network(chapter_7(tmp_path), steps=450, tick=TICK, seed=1, key=KEY, meanwhile=kill)
     shown(f"{role} killed, {'with' if kept else 'without'} its state", found)
     assert found.reports["plant"]["largest_state"] < 100 * max(1.0, away[0]) ** 2  # an input held moves masses as time²
     assert found.costs[-50:].mean() < 10.0  # hundreds if it had not rejoined
@@ -108,7 +108,7 @@ def test_a_clock_that_stands_still_and_jumps_is_borne(tmp_path: Path, role: str)
         await_ticks(processes, role, 60)
         processes.running[role].pause(0.5)
 
-    found = run_network(chapter_7(tmp_path), ticks=250, tick=TICK, seed=2, meanwhile=pause)
+    found = run_network(chapter_7(tmp_path), steps=250, tick=TICK, seed=2, meanwhile=pause)
     shown(f"{role} stopped for 25 steps", found)
     assert_added_up(found)
     assert found.reports["plant"]["largest_state"] < 100
@@ -124,7 +124,7 @@ def test_a_flood_of_foreign_packets_is_borne(tmp_path: Path) -> None:
         await_ticks(processes, "controller", 50)
         thrown.append(throw(noise(1000, 3) * 150, processes.addresses["controller"], 50_000))
 
-    found = run_network(chapter_7(tmp_path), ticks=300, tick=TICK, seed=3, key=KEY, meanwhile=flood)
+    found = run_network(chapter_7(tmp_path), steps=300, tick=TICK, seed=3, key=KEY, meanwhile=flood)
     shown("flood", found)
     report = found.reports["controller"]
     datagrams, genuine = report["datagrams"], report["counters"]["received"]
@@ -141,7 +141,7 @@ def test_a_flood_of_foreign_packets_is_borne(tmp_path: Path) -> None:
 def test_packets_of_others_change_nothing(tmp_path: Path, what: str) -> None:
     """Ten thousand of each in virtual time: the bits of the run that nobody disturbs."""
     file = chapter_7(tmp_path)
-    quiet = run_network(file, ticks=1000, seed=5, key=KEY)
+    quiet = run_network(file, steps=1000, seed=5, key=KEY)
     packets = {
         "an old capture": lambda: capture(file, 5000, KEY),
         "a wrong key": lambda: capture(file, 5000, bytes(32)),
@@ -153,7 +153,7 @@ def test_packets_of_others_change_nothing(tmp_path: Path, what: str) -> None:
         await_ticks(processes, "controller", 100)
         thrown.append(throw(packets, processes.addresses["controller"], 10_000))
 
-    found = run_network(file, ticks=1000, seed=5, key=KEY, meanwhile=attack)
+    found = run_network(file, steps=1000, seed=5, key=KEY, meanwhile=attack)
     shown(what, found)
     report = found.reports["controller"]
     handshake = refused(quiet.reports["controller"])

@@ -265,7 +265,7 @@ def test_keys_change_without_a_stop(tmp_path: Path) -> None:
     told.append(keys.renew())
     assert told[0] is None
     assert all("the new keys are in use" in str(sentence) for sentence in told[1:4])
-    assert "none for the actuator link" in str(told[4])
+    assert "no key for the actuator link" in str(told[4])
     assert "can read it" in str(told[5])
     assert all("the former keys remain in use" in str(sentence) for sentence in told[4:])
 
@@ -274,11 +274,11 @@ def test_keys_change_without_a_stop(tmp_path: Path) -> None:
     ("text", "sentence"),
     [
         ("", "contains no key"),
-        ("bus: " + "01" * 16, "names the link 'bus'; expected one of sensor, actuator, plant"),
+        ("bus: " + "01" * 16, "names the link 'bus'; expected one of the links sensor, actuator, plant"),
         ("sensor: " + "01" * 16 + "\nsensor: " + "02" * 16, "two lines for the sensor link"),
-        ("sensor: " + "01" * 16 + "\n" + "02" * 16, "has a key for all links and keys of single links"),
-        ("sensor: 0102", "holds 2 bytes"),
-        ("sensor: secret", "other characters than hexadecimal digits"),
+        ("sensor: " + "01" * 16 + "\n" + "02" * 16, "has both a key for all links and keys for single links"),
+        ("sensor: 0102", "has 2 bytes"),
+        ("sensor: secret", "characters that are not hexadecimal digits"),
     ],
 )
 def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
@@ -286,7 +286,7 @@ def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
     with pytest.raises(ProblemError, match=sentence):
         Wire(POLICY, key=Keys.parse(text))
     only = Wire(POLICY, key=Keys.parse("plant: " + "01" * 16))
-    with Endpoint(("127.0.0.1", 0)) as there, pytest.raises(ProblemError, match="none for the actuator link"):
+    with Endpoint(("127.0.0.1", 0)) as there, pytest.raises(ProblemError, match="no key for the actuator link"):
         NodeServer([Node(POLICY, "actuator")], only, there, plant=("127.0.0.1", 1))
 
 

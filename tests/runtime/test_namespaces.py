@@ -113,7 +113,7 @@ def test_the_hash_loses_the_share_that_is_asked_for(permille: int) -> None:
 @pytest.mark.evidence
 def test_a_loop_receives_exactly_what_is_predicted(file: str) -> None:
     """Chapter 7 in lockstep: data, marks and losses in their order, and nothing is left behind."""
-    found = run_network(file, ticks=400, seed=3, namespaces=True)
+    found = run_network(file, steps=400, seed=3, namespaces=True)
     assert_as_predicted(found, 3)
     assert len(found.arrived["sensor"]) > 270
     assert left_behind(os.getpid()) == []
@@ -125,7 +125,7 @@ def test_two_processes_run_from_the_command_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two nodes that share no place with a third, over an ideal link: nothing is lost."""
-    monkeypatch.setattr(sys, "argv", ["taciturn", "network", "two-mass-lqg", "--namespaces", "--ticks", "50"])
+    monkeypatch.setattr(sys, "argv", ["taciturn", "network", "two-mass-lqg", "--namespaces", "--steps", "50"])
     with pytest.raises(SystemExit, match=r"^0$"):
         cli.main()
     link = re.search(r"link, actuator(.*?)(\n\S|\Z)", capsys.readouterr().out, re.DOTALL)
@@ -189,13 +189,13 @@ def test_missing_programs_and_rights_are_one_sentence(tmp_path: Path, monkeypatc
     """What is missing, and what to do."""
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ProblemError, match=r"^the program ip is missing; expected .* iproute2 and nftables$"):
-        run_network("two-mass-lqg", ticks=10, namespaces=True)
+        run_network("two-mass-lqg", steps=10, namespaces=True)
     fake(tmp_path / "ip", "Operation not permitted", monkeypatch)
     with pytest.raises(ProblemError, match=r"^the program nft is missing; expected .* iproute2 and nftables$"):
-        run_network("two-mass-lqg", ticks=10, namespaces=True)
+        run_network("two-mass-lqg", steps=10, namespaces=True)
     fake(tmp_path / "nft", "Operation not permitted", monkeypatch)
     with pytest.raises(ProblemError, match=r"has failed \(Operation not permitted\); expected the rights of root"):
-        run_network("two-mass-lqg", ticks=10, namespaces=True)
+        run_network("two-mass-lqg", steps=10, namespaces=True)
 
 
 @pytest.mark.evidence
@@ -211,11 +211,11 @@ def test_what_is_not_shown_stands_at_the_end_of_a_test_run(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
-        (lambda: KernelLoss(permille=1001), "permille is 1001; expected at most 1000"),
-        (lambda: predict_drops(2**32, 1, []), "seed is 4294967296; expected at most 4294967295"),
+        (lambda: KernelLoss(permille=1001), "permille is 1001; expected a value of at most 1000"),
+        (lambda: predict_drops(2**32, 1, []), "seed is 4294967296; expected a value of at most 4294967295"),
         (
             lambda: predict_drops(1, 1, [-1, 5]),
-            "sequences has numbers from -1 to 5; expected numbers from 0 to 4294967295",
+            "'sequences' has numbers from -1 to 5; expected numbers from 0 to 4294967295",
         ),
         (
             lambda: kernel_losses(Network(protocol="udp", sensor_loss=0.1234), 0),
@@ -239,7 +239,7 @@ def test_what_the_kernel_cannot_lose_is_refused(ask: Callable[[], object], says:
 def test_twenty_runs_cost_and_send_what_the_theory_says(file: str) -> None:
     """20 seeds of 3,000 steps: cost and rate within three standard errors of ``evaluate``, packets as predicted."""
     with ThreadPoolExecutor(2) as pool:
-        runs = list(pool.map(lambda seed: run_network(file, ticks=3000, seed=seed, namespaces=True), range(20)))
+        runs = list(pool.map(lambda seed: run_network(file, steps=3000, seed=seed, namespaces=True), range(20)))
     for seed, found in enumerate(runs):
         assert_as_predicted(found, seed)
     expected = taciturn.evaluate(taciturn.load(file), seed=1)

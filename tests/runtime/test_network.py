@@ -79,7 +79,7 @@ def patient() -> Iterator[None]:
 def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
     """Return a run of 300 steps that nothing disturbs."""
     with patient():
-        return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=TICKS, seed=2, key=KEY)
+        return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), steps=TICKS, seed=2, key=KEY)
 
 
 @pytest.mark.evidence
@@ -88,7 +88,7 @@ def test_two_sensors_and_two_pumps_run_as_processes() -> None:
     changes = {f"links.{one}.{key}": value for one in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()}
     problem = taciturn.load("quadruple-tank").changed(changes)
     with patient():
-        found = run_network(problem, ticks=TICKS, seed=2, key=KEY)
+        found = run_network(problem, steps=TICKS, seed=2, key=KEY)
     assert found.costs.tobytes() == by_hand(problem, TICKS, 2).tobytes()
     assert_added_up(found)
     assert list(found.datagrams) == ["level-1", "level-2", "pump-1", "pump-2"]
@@ -118,8 +118,8 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
 def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(case: tuple[bool, Sequence[str]]) -> None:
     """With the same bits; the changes of a problem in memory reach the processes, too."""
     (designed, settings), problem = case, taciturn.load("two-mass-lqg")
-    expected = run_network("two-mass-lqg", settings=settings, ticks=30, seed=2)
-    found = run_network(problem.design() if designed else problem, settings=settings, ticks=30, seed=2)
+    expected = run_network("two-mass-lqg", settings=settings, steps=30, seed=2)
+    found = run_network(problem.design() if designed else problem, settings=settings, steps=30, seed=2)
     assert found.costs.tobytes() == expected.costs.tobytes()
     assert found.arrived == expected.arrived
 
@@ -175,7 +175,7 @@ def assert_by_hand(folder: Path, problem: str, ticks: int) -> None:
         (folder / "problem.toml").write_text(problem, encoding="utf-8")
         problem = str(folder / "problem.toml")
     with patient():
-        found = run_network(problem, ticks=ticks, seed=2)
+        found = run_network(problem, steps=ticks, seed=2)
     assert found.costs.tobytes() == by_hand(problem, ticks, 2).tobytes()
     assert_added_up(found)
 
@@ -229,7 +229,7 @@ def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
         thrown["foreign"] = throw(capture(file, 50, None) + capture(file, 50, KEY, price=0.2), to, 4000)
         thrown["noise"] = throw(noise(500, 1), to, 4000)
 
-    found = run_network(file, ticks=TICKS, seed=2, key=KEY, meanwhile=attack)
+    found = run_network(file, steps=TICKS, seed=2, key=KEY, meanwhile=attack)
     assert found.costs.tobytes() == quiet.costs.tobytes()
     report = found.reports["controller"]
     handshake = quiet.reports["controller"]["refused"]["unproven"]
@@ -245,7 +245,7 @@ def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: N
     network = taciturn.load(file).network
     fates = {link: Fate(fate.seed, fate.loss, duplicate=0.3) for link, fate in losses(network, 2).items()}
     with patient():
-        found = run_network(file, ticks=TICKS, seed=2, key=KEY, fates=fates)
+        found = run_network(file, steps=TICKS, seed=2, key=KEY, fates=fates)
     assert found.costs.tobytes() == quiet.costs.tobytes()
     assert_added_up(found)
     assert quiet.nominal
@@ -269,7 +269,7 @@ def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun)
             processes.start(role)
             killed.append(role)
 
-    found = run_network(chapter_7(tmp_path), ticks=TICKS, seed=2, key=KEY, meanwhile=kill)
+    found = run_network(chapter_7(tmp_path), steps=TICKS, seed=2, key=KEY, meanwhile=kill)
     assert killed == ["sensor", "controller", "actuator"]
     assert found.costs.tobytes() == quiet.costs.tobytes()
     assert all(not report.get("degraded") for report in found.reports.values())
@@ -278,7 +278,7 @@ def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun)
 @pytest.mark.evidence
 def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
     """100 steps at 100 Hz by the clock: every datagram accounted for, lateness told."""
-    found = run_network(chapter_7(tmp_path), ticks=100, tick=0.01, seed=1)
+    found = run_network(chapter_7(tmp_path), steps=100, tick=0.01, seed=1)
     assert_added_up(found)
     assert len(found.costs) == 100
     assert np.isfinite(found.costs).all()

@@ -358,7 +358,7 @@ def test_a_saved_node_goes_on_as_if_nothing_had_happened(name: str) -> None:
 def test_what_is_no_state_of_this_node_is_refused() -> None:
     """The state of another role, of another policy, and what is none."""
     saved = masses("controller").save()
-    with pytest.raises(ProblemError, match=r"role 'controller'; expected 'actuator'"):
+    with pytest.raises(ProblemError, match=r"role of the saved state is 'controller'; expected 'actuator'"):
         masses("actuator").restore(saved)
     with pytest.raises(ProblemError, match="fingerprint"):
         Node(taciturn.load("two-mass-lqg").changed({"theta": 0.2}).design(), "controller").restore(saved)
@@ -377,7 +377,7 @@ def test_bad_nodes_are_refused() -> None:
     with pytest.raises(ProblemError, match="1 finite numbers"):
         masses("actuator", safe=(1.0, 2.0))
     for measurement in (None, [1.0], [float("nan"), 0.0]):
-        with pytest.raises(ProblemError, match="2 finite numbers at each step"):
+        with pytest.raises(ProblemError, match="2 finite numbers of at most"):
             masses("controller").step(0, measurement)
     with pytest.raises(ProblemError, match="nodes cannot evaluate"):
         taciturn.load("wiener-double-integrator").changed({"kind": "optimal", "theta": None, "price": 0.1}).design()

@@ -22,7 +22,7 @@ def test_processes_control_a_plant_that_is_not_linear_as_nodes_in_memory_do(name
     """The same costs and sends to the last bit, and no guarantee."""
     problem, ticks = load(name), 150
     loop = problem.close(problem.design())
-    found = run_network(name, ticks=ticks, seed=4)
+    found = run_network(name, steps=ticks, seed=4)
     plant, nodes = SimulatedPlant(loop, 4), Nodes(loop.policy)
     costs, sent = [], []
     for _ in range(ticks):

@@ -182,30 +182,37 @@ def test_what_nodes_cannot_do_is_refused_in_one_sentence() -> None:
     nodes = Nodes(policy)
     exact = Plant(SYSTEM.plant.A, SYSTEM.plant.B, SYSTEM.plant.W)
     for measurement, expected in (
-        ([1.0], r"measurement has shape \(1,\); expected \(2,\)"),
+        ([1.0], r"measurement has shape \(1,\); expected the shape \(2,\)"),
         ([None, None, None], r"measurement has shape \(3,\)"),
-        ([None, float("nan")], r"measurement contains nan at index \(1,\); expected finite numbers"),
+        (
+            [None, float("nan")],
+            r"measurement contains the number nan at index \(1,\); expected an array of finite numbers",
+        ),
         ([None, "high"], "measurement"),
     ):
         with pytest.raises(ProblemError, match=expected):
             nodes.step(measurement)  # type: ignore[arg-type]
-    with pytest.raises(ProblemError, match=r"fates contains 'sensor'; expected links on which .* sends: actuator$"):
+    with pytest.raises(
+        ProblemError, match=r"'fates' names the link 'sensor'; expected links on which .* sends: actuator$"
+    ):
         nodes.step([0.0, 0.0], fates={"sensor": True})
     with pytest.raises(ProblemError, match=r"fates\['actuator'\] is 1; expected true or false"):
         nodes.step([0.0, 0.0], fates={"actuator": 1})  # type: ignore[dict-item]
     assert nodes.tick == 0
-    with pytest.raises(ProblemError, match="an output is not measured, and no filter of this excess predicts it"):
+    with pytest.raises(
+        ProblemError, match="an output is not measured, and no filter of this excess policy predicts it"
+    ):
         Nodes(design.excess(exact, SYSTEM.cost, delta=0.5)).step(None)
-    with pytest.raises(ProblemError, match="commands of this excess do not follow from a filter's estimate"):
+    with pytest.raises(ProblemError, match="this excess policy does not compute its commands from a filter's estimate"):
         Nodes(design.excess(exact, SYSTEM.cost, delta=0.5), estimate=[0.0, 0.0, 0.0])
     tank = taciturn.load("pid-tank").design()
-    with pytest.raises(ProblemError, match="commands of this excess do not follow from a filter's estimate"):
+    with pytest.raises(ProblemError, match="this excess policy does not compute its commands from a filter's estimate"):
         Nodes(tank, estimate=np.zeros(tank.model.states))
-    with pytest.raises(ProblemError, match=r"estimate has shape \(2,\); expected \(3,\)"):
+    with pytest.raises(ProblemError, match=r"estimate has shape \(2,\); expected the shape \(3,\)"):
         Nodes(policy, estimate=[0.0, 0.0])
-    with pytest.raises(ProblemError, match=r"start_input has shape \(1,\); expected \(2,\)"):
+    with pytest.raises(ProblemError, match=r"start_input has shape \(1,\); expected the shape \(2,\)"):
         Nodes(policy, start_input=[0.0])
-    with pytest.raises(ProblemError, match="start_input is given, but this excess keeps a given controller"):
+    with pytest.raises(ProblemError, match="start_input is given, but this excess policy uses a given controller"):
         Nodes(taciturn.load("pid-tank").design(), start_input=[0.1])
     p = SYSTEM.plant
     clipped = design.excess(Plant(p.A, p.B, p.W, p.C, p.V, input_limit=[1.0, 1.0]), SYSTEM.cost, delta=0.5)
@@ -292,7 +299,7 @@ def test_results_that_are_too_large_are_refused_and_leave_the_nodes_as_they_were
             with pytest.raises(ProblemError, match="expected"):
                 nodes.step(y)
         if tick == 5:
-            with pytest.raises(ProblemError, match="hold the last input, or reset them"):
+            with pytest.raises(ProblemError, match="hold the last input, or reset the nodes"):
                 nodes.step([3.4e38])
         assert nodes.step([1.0]).tobytes() == alone.step([1.0]).tobytes()
 
@@ -311,7 +318,7 @@ def test_nodes_of_a_problem_have_its_network() -> None:
             alone = Nodes(problem.design(), seed=3)
             assert alone.network.payload == "float64"
             assert not np.array_equal([alone.step(y) for y in path.measurement], path.input)
-        with pytest.raises(ProblemError, match="network is given with a problem or a loop, which has its own"):
+        with pytest.raises(ProblemError, match="is given with a problem or a loop, which has its own network"):
             Nodes(problem, Network())
     with pytest.raises(ProblemError, match="policy is 'lqg'; expected a Policy"):
         Nodes("lqg")  # type: ignore[arg-type]

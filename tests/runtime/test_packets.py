@@ -154,13 +154,13 @@ def test_keys_are_read_from_files_and_from_the_environment(tmp_path: Path, monke
         read_keys(hosts=["127.0.0.1", "0.0.0.0"])
     monkeypatch.delenv("TACITURN_KEY")
     assert read_keys(hosts=["0.0.0.0"]) is None
-    for text, sentence in (("00" * 15, "holds 15 bytes"), ("00" * 33, "holds 33 bytes"), ("secret", "hexadecimal")):
+    for text, sentence in (("00" * 15, "has 15 bytes"), ("00" * 33, "has 33 bytes"), ("secret", "hexadecimal")):
         path.write_text(text)
         with pytest.raises(ProblemError, match=sentence):
             read_keys(path)
     with pytest.raises(ProblemError, match="cannot be read"):
         read_keys(tmp_path / "none")
-    with pytest.raises(ProblemError, match="the key holds 3 bytes"):
+    with pytest.raises(ProblemError, match="the key has 3 bytes"):
         wire(b"abc")
 
 

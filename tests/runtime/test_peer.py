@@ -137,14 +137,14 @@ def run(case: Case, folder: Path, program: str = "", foreign: Sequence[str] = ()
             node = [*library, "node", role, case.file, *logged(role), *to]
             if role in foreign:
                 node = [program, str(PEER), str(folder / "wire.json"), role, "--bind", at[role], *to]
-                node += ["--ticks", str(case.ticks), *key]
+                node += ["--steps", str(case.ticks), *key]
             started[role] = stack.enter_context(process(node))
         for one in started.values():  # no datagram is sent before all ports are open
             assert one.stderr is not None
             line = one.stderr.readline()
             assert "listens on" in line, line + one.stderr.read()
         sensor = at[next(role for role in roles(policy) if "sensor" in place_of(policy, role))]
-        plant = [*library, "plant", case.file, *logged("plant"), "--peer", sensor, "--ticks", str(case.ticks)]
+        plant = [*library, "plant", case.file, *logged("plant"), "--peer", sensor, "--steps", str(case.ticks)]
         subprocess.run(plant, check=True, capture_output=True, timeout=PATIENCE)
         reports = {role: json.loads(started[role].communicate(timeout=PATIENCE)[0]) for role in foreign}
         for name, one in started.items():

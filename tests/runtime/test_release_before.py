@@ -74,5 +74,7 @@ def test_firmware_refuses_packets_of_the_release_before() -> None:
 
 def test_a_state_of_the_release_before_is_refused_by_its_format() -> None:
     """The node starts without it."""
-    with pytest.raises(ProblemError, match=f"the format 1; expected {FORMAT}, as for this release: start the node"):
+    with pytest.raises(
+        ProblemError, match=f"format of the saved state is 1; expected {FORMAT}, as for this release: start the node"
+    ):
         Node(POLICY, "actuator").restore(STATE)

@@ -113,7 +113,7 @@ def test_processes_over_udp_follow_the_same_set_points(kind: str) -> None:
     for _ in range(200):
         y = simulated.measurement
         costs.append(simulated.move(tuple(nodes.step(y[:2], reference=y[2:]))))
-    assert np.array_equal(run_network(problem, ticks=200, seed=4).costs, costs)
+    assert np.array_equal(run_network(problem, steps=200, seed=4).costs, costs)
 
 
 def test_set_points_are_inputs_of_a_policy_in_python_control() -> None:
@@ -133,7 +133,7 @@ def test_set_points_are_inputs_of_a_policy_in_python_control() -> None:
 def test_constant_set_points_cannot_be_changed() -> None:
     """Because the policy does not expect it; the message names the keys."""
     constant = follow(Plant(A, B, 0.02 * np.eye(2), np.eye(2), 0.05 * np.eye(2)), None, FIRST)
-    with pytest.raises(ProblemError, match="set-points of this excess are constant"):
+    with pytest.raises(ProblemError, match="set-points of this excess policy are constant"):
         Nodes(design.excess(constant, COST, delta=0.05)).step([0.0, 0.0], reference=[1.0, 1.0])
     with pytest.raises(ProblemError, match="reference has shape"):
         Nodes(excess()).step([0.0, 0.0], reference=[1.0])

@@ -122,7 +122,7 @@ def test_a_state_of_the_release_before_is_refused_by_its_format(saved: bytes, he
     former = {name: value for name, value in kept["node"].items() if name != "digest"} | {"format": FORMAT - 1}
     former["heard_at"] = 7
     found = refused(json.dumps({"node": former, "measured": [0, 0, 0, 0], "outbox": [], "sessions": []}).encode(), here)
-    assert f"has the format {FORMAT - 1}; expected {FORMAT}" in found
+    assert f"the entry format of the saved state is {FORMAT - 1}; expected {FORMAT}" in found
     assert "start the node without the state" in found
 
 
@@ -180,9 +180,9 @@ def test_a_number_that_no_payload_carries_is_refused_where_it_enters(here: Endpo
     """In a call by a sentence that names the limit; in a datagram as malformed, which does not end the process."""
     node = Node(POLICY, "controller")
     for y in ([1.7e308, 0.0], [None, 1.0], ["one", 1.0], [1.0, float("inf")]):
-        with pytest.raises(ProblemError, match=r"2 finite numbers at each step, none beyond 3\.4e\+38"):
+        with pytest.raises(ProblemError, match=r"2 finite numbers of at most 3\.4e\+38 in magnitude at each step"):
             node.step(0, y)  # type: ignore[arg-type]
-    with pytest.raises(ProblemError, match=r"2 finite numbers, none beyond 3\.4e\+38"):
+    with pytest.raises(ProblemError, match=r"2 finite numbers of at most 3\.4e\+38 in magnitude"):
         Node(build("remote").policy, "controller").sort_in(Packet("data", "sensor", 0, 0, (1.7e308, 0.0)))
     server = controller(AnyController(), here)
     good = WIRE.encode(Packet("measurement", "plant", 0, 0, (1.0, 2.0), 1))

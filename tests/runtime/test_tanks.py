@@ -102,7 +102,7 @@ def test_processes_and_c_follow_the_same_levels(kind: str, tmp_path: Path) -> No
     for _ in range(200):
         y = simulated.measurement
         costs.append(simulated.move(nodes.step(y[:2], reference=y[2:]).tolist()))
-    found = run_network(file, ticks=200, seed=4)
+    found = run_network(file, steps=200, seed=4)
     assert found.costs.tolist() == costs
     assert found.document()["cost_bound"] is None
     check = compile_check(write(tmp_path / "c", print_folder(loop, "tanks")))

@@ -78,9 +78,12 @@ def nothing(theta: float) -> float:
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda _: taciturn.evaluate(rule), "policy.theta is missing; lqg requires it"),
+        (
+            lambda _: taciturn.evaluate(rule),
+            "policy.theta is missing; expected this parameter, which the policy kind lqg requires",
+        ),
         (lambda _: taciturn.evaluate(nothing), "problem is a function that returns 1; expected"),  # type: ignore
-        (lambda _: taciturn.evaluate("two-mass"), "expected a Problem: taciturn.load reads one"),  # type: ignore
+        (lambda _: taciturn.evaluate("two-mass"), r"expected a Problem \(taciturn.load reads one"),  # type: ignore
         (lambda _: taciturn.evaluate(taciturn.load("double-integrator").design()), "cost refers to a continuous plant"),
         (lambda _: taciturn.tune(rule(1.0), rate=0.3), "expected a function that returns the policy for a parameter"),
         (lambda path: taciturn.sweep(rule, {"theta": [1.0]}, store=path), "the policy comes from Python code"),

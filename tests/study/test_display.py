@@ -56,7 +56,7 @@ def shown() -> dict[str, Any]:
         "certificates": taciturn.certify(taciturn.Problem(SCALAR, UNIT, taciturn.Network(), "lqg", {"theta": 0.5})),
         "schedule": taciturn.load("rover").design().schedule,
         "channel": taciturn.share_channel(
-            {"a": problem}, copies=4, capacity=2, scheduler="round-robin", ticks=200, confidence=0
+            {"a": problem}, copies=4, capacity=2, scheduler="round-robin", steps=200, confidence=0
         ),
         "estimate": taciturn.Estimate(0.7441801, 0.0000312, "simulation"),
         "optimal policy": taciturn.load("wiener-double-integrator")
@@ -99,8 +99,14 @@ class Balanced(HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Enter a tag."""
-        assert tag in {"table", "thead", "tbody", "tr", "th", "td", "strong"}
+        """Enter a tag; an image has its data with it, and words for those who do not see it."""
+        if tag == "img":
+            given = {name: value or "" for name, value in attrs}
+            assert set(given) == {"alt", "style", "src"}
+            assert given["alt"]
+            assert given["src"].startswith("data:image/svg+xml;base64,")
+            return
+        assert tag in {"table", "thead", "tbody", "tr", "th", "td", "strong", "div"}
         assert {name for name, _ in attrs} <= {"style"}
         self.open.append(tag)
 
@@ -120,6 +126,7 @@ def test_an_object_shows_itself_in_a_line_and_in_a_notebook(name: str) -> None:
     page = Balanced()
     page.feed(value._repr_html_())
     assert not page.open
+    assert ("<img" in value._repr_html_()) == hasattr(value, "plot")
 
 
 def test_every_public_class_of_data_shows_itself_by_one_mechanism() -> None:
@@ -243,11 +250,17 @@ def test_numbers_that_round_to_zero_have_no_sign() -> None:
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [
-        ("comparison", {"ax": 3}, "ax is 3; expected axes of matplotlib: figure, ax = matplotlib.pyplot.subplots()"),
+        (
+            "comparison",
+            {"ax": 3},
+            "ax is 3; expected axes of matplotlib, such as those from figure, ax = matplotlib.pyplot.subplots()",
+        ),
         ("policy", {"ax": 3}, "ax is 3; expected axes of matplotlib"),
         ("comparison", {"figsize": "big"}, "figsize is 'big'; expected two positive numbers, the width and the height"),
         ("policy", {"figsize": (1, -2)}, "figsize is (1, -2); expected two positive numbers"),
         ("comparison", {"ax": 3, "figsize": (7, 4)}, "ax and figsize are both given, but figsize is the size of a new"),
+        ("comparison", {"style": "papr"}, "style is 'papr'; expected 'light' or 'dark' for a screen, or 'paper' or"),
+        ("policy", {"style": 3}, "style is 3; expected 'light' or 'dark' for a screen"),
     ],
 )
 def test_axes_and_sizes_that_are_none_are_refused(name: str, given: dict[str, Any], message: str) -> None:
@@ -300,5 +313,5 @@ def test_rates_of_an_average_and_of_an_evaluation_have_the_same_unit() -> None:
 
 def test_a_table_is_written_as_csv_only() -> None:
     """Another ending is refused before anything is written."""
-    with pytest.raises(taciturn.ProblemError, match=r"unknown format; expected \.csv$"):
+    with pytest.raises(taciturn.ProblemError, match=r"unknown format; expected a file name that ends in \.csv$"):
         shown()["evaluation"].to_csv("table.xlsx")

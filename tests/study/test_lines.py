@@ -11,17 +11,15 @@ import pytest
 
 import taciturn
 from taciturn import Estimate
-from taciturn._text import ordinal, percent, wrapped_text
+from taciturn._text import PLAIN, number_of, ordinal, percent, wrapped_text
 from taciturn.model.estimate import rounded
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import LowerBound
 from taciturn.study.evaluate import contradicted
-from taciturn.study.evaluation import (
-    Evaluation,
-    percent_above,
-    queries_text,
-)
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.periodic import Timed, fair_clock
+from taciturn.study.record import decode, encode
+from taciturn.study.sentences import percent_above, queries_text
 from taciturn_events.policy import EventPolicy
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
@@ -46,7 +44,7 @@ def test_queries_before_the_repeating_part_are_counted() -> None:
 
 def verdict(found: Evaluation) -> str:
     """Return the printed verdict in one line."""
-    return " ".join(str(found).partition("\nverdict")[2].partition("\nnote")[0].split())
+    return " ".join(str(found).partition("\n\n")[0].split())
 
 
 def row(found: Evaluation, name: str) -> Estimate:
@@ -79,6 +77,8 @@ def row(found: Evaluation, name: str) -> Estimate:
         (rounded(14_102.4, 6, 1), "14103"),
         (rounded(14_102.4, 6, -1), "14102"),
         (percent_above(Estimate(1.0772, 0.0022, "simulation"), 1.0), "+7.7 %"),
+        (percent_above(Estimate(1.0999999, 0.0, "exact"), 1.0, 1), "+10.0 %"),
+        (percent_above(Estimate(3.04391, 0.0, "exact"), 1.0, 1), "+205 %"),
         (percent(float("inf"), 2), "inf %"),
         (percent_above(Estimate(0.99999999, 0.0, "exact"), 1.0), "0.00 %"),
         (str(Estimate(-1e-9, 1e-4, "simulation")), "0.00000 ± 0.00010"),
@@ -146,6 +146,19 @@ def test_periodic_control_that_fewer_packets_make_no_worse_has_the_rate_at_which
     assert "more packets" not in str(simulated())
 
 
+def test_a_number_has_its_noun_in_the_singular_or_plural() -> None:
+    """Also a number as text; a path of one step, and the packets of two links in each step."""
+    told = [number_of(one, "step") for one in (0, 1, "1", "1.5")]
+    assert told == ["0 steps", "1 step", "1 step", "1.5 steps"]
+    walk = taciturn.Plant([[1.0]], [[1.0]], [[1.0]])
+    policy = taciturn.design.excess(walk, COST, theta=0.5)
+    assert taciturn.simulate(policy, 1).verdict[0].startswith("0 packets in 1 step, ")
+    problem = taciturn.load("quadruple-tank")
+    several = problem.changed({"theta": None, "delta": 0.0})
+    one_each = taciturn.tradeoff(several, {"delta": [0.0]}, standard_error=1.0)
+    assert " at 2 sends per second on 4 links" in " ".join(str(one_each).split())
+
+
 def test_numbers_of_steps_are_ordinals() -> None:
     """In messages and guarantees, by one function."""
     assert [ordinal(number) for number in (1, 3, 10, 11, 13, 21, 22, 23, 111, 122)] == [
@@ -156,7 +169,7 @@ def test_numbers_of_steps_are_ordinals() -> None:
     statement = taciturn.design.excess(slow, COST, every=3, **kept).guarantee
     assert statement is not None
     assert "every 3rd step" in statement.statement
-    with pytest.raises(taciturn.UnstableError, match="the loop that sends at every 22nd step is not stable"):
+    with pytest.raises(taciturn.UnstableError, match="the loop that sends only at every 22nd step is not stable"):
         taciturn.design.excess(SCALAR, COST, every=22, **kept)
 
 
@@ -183,58 +196,106 @@ def test_the_bound_of_a_policy_without_steps_has_the_slope_of_its_interval() -> 
     assert policy.bound_error(Estimate(policy.trigger.saturation / 2, 0.01, "simulation")) == 0.0
 
 
-def test_a_verdict_has_ordinary_digits_and_the_errors_of_its_numbers() -> None:
-    """A bound of three times the cost is at most 200 % above it."""
+def test_a_verdict_has_the_digits_that_the_errors_of_its_numbers_allow() -> None:
+    """Three digits, or fewer; an error is shown where it is more than a tenth. Three times the cost is 200 % more."""
     found = simulated()
-    assert found.cost_all_time is not None
-    text = verdict(replace(found, cost_bound_at_rate=3 * found.cost_all_time))
-    assert "at most 200.0 % by the bound at this rate" in text
-    assert text.startswith("sends ")
-    assert text.count("±") == 2
+    base, (rate,) = found.cost_all_time, found.rates.values()
+    assert base is not None
+    text = verdict(replace(found, cost_bound_at_rate=3 * base))
+    assert 0.001 < rate.standard_error < 0.01
+    assert text.startswith(f"{100 * rate.value:.1f} % of the packets, ")
+    assert text.endswith(", at most 200 % proven")
     assert "e+" not in text
+    cheap = verdict(replace(found, cost=Estimate(base * (1 - 1e-4), base * 1e-4, "simulation")))
+    assert ", 0.010 ± 0.010 % less cost than every sample, " in cheap
+    assert cheap.endswith(" more proven")
+    less = verdict(replace(found, cost=Estimate(base * (1 - 0.0588), base * 1e-5, "simulation")))
+    assert ", 5.88 % less cost than every sample, " in less
+    alike = verdict(replace(found, cost=Estimate(base * (1 - 1e-8), base * 0.0031, "simulation")))
+    assert ", as much cost as every sample (± 0.31 %), " in alike
+    assert ", as much cost as every sample, " in verdict(replace(found, cost=Estimate(base, 0.0, "exact")))
+    rough = verdict(replace(found, cost=Estimate(base * 1.0772, base * 0.002, "simulation")))
+    assert ", 7.7 % more cost than every sample, " in rough
 
 
 def test_an_exact_cost_and_its_bound_have_the_same_digits_in_verdict_and_table() -> None:
-    """Two decimals; a bound of 17.003 % is rounded up once."""
+    """Two decimals below ten percent, and one above; a bound of 17.003 % is rounded up once."""
     found = simulated()
     base = found.cost_all_time
     assert base is not None
-    cost = Estimate(1.1168447 * base, 0.0, "exact")
+    cost = Estimate(1.0168447 * base, 0.0, "exact")
     shown = replace(found, cost=cost, cost_bound=1.17003 * base, cost_bound_at_rate=None)
-    assert "costs 11.68 % above sending every sample, at most 17.01 % by the guarantee" in verdict(shown)
-    assert "+11.68 %" in str(shown)
-    assert "+17.01 %" in str(shown)
-    assert "costs 11.68 % above" in verdict(replace(shown, cost=replace(cost, standard_error=1e-15)))
+    assert "1.68 % more cost than every sample, at most 17.1 % proven" in verdict(shown)
+    assert "+1.68 %" in str(shown)
+    assert "+17.1 %" in str(shown)
+    assert "1.68 % more" in verdict(replace(shown, cost=replace(cost, standard_error=1e-15)))
 
 
-def test_a_verdict_without_a_bound_above_the_cost_of_every_sample_says_so() -> None:
-    """Not that no schedule costs less than 0.0000 % above; a tiny bound is printed with one digit."""
+def test_no_schedule_is_said_to_cost_more_than_every_sample_without_a_bound_above_it() -> None:
+    """Not that no schedule costs less than 0.0000 % more; a tiny bound is printed with one digit."""
     found = simulated()
     base = found.cost_all_time
     assert base is not None
-    none = verdict(replace(found, lower_bound=LowerBound(base, 0.999, 0.9, 0.0)))
-    assert none.endswith("no bound above the cost of sending every sample is proved for this controller at this rate")
-    tiny = verdict(replace(found, lower_bound=LowerBound(base * (1 + 3.4e-8), 0.999, 0.9, 0.0)))
-    assert tiny.endswith("costs less than 0.000003 % above")
-    cheap = verdict(replace(found, cost=Estimate(base * (1 - 1e-4), base * 1e-4, "simulation")))
-    assert "costs 0.010 ± 0.010 % below sending every sample" in cheap
+
+    def told(bound: float) -> str:
+        (line,) = [text for name, text in replace(found, lower_bound=LowerBound(bound, 0.999, 0.9, 0.0)).lines()
+                   if name == "no schedule"]  # fmt: skip
+        return line
+
+    assert told(base) == "of this controller is proved to cost more than every sample at this rate"
+    assert told(base * (1 + 3.4e-8)).endswith("costs less than 0.000003 % more (99.9 % sure)")
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "told"),
     [
-        ({"settled": False}, "none: the loop has not settled, so the simulated cost is not an average"),
-        ({"trusted": False}, "none: the standard error of the cost cannot be trusted"),
+        ({"settled": False}, "no verdict: the loop has not settled, so the simulated cost is not an average"),
+        ({"trusted": False}, "% of the packets; no verdict on the cost, whose standard error cannot be trusted"),
+        ({"cost_all_time": 0.0}, " per step, where every sample costs nothing, at most "),
         (
-            {"cost_all_time": None},
-            "none: the cost of sending every sample is known for the loop of the design, and not for this loop",
+            {"cost_all_time": None, "withdrawn": ("it is another plant",), "cost_bound": None, "bound_error": 0.0},
+            " per step no guarantee holds, and the cost of every sample is unknown: it is another plant",
         ),
-        ({"cost_all_time": 0.0}, "none: sending every sample costs nothing, so no cost is a percentage of it"),
+        ({"cost_bound": None, "cost_bound_at_rate": None, "bound_error": 0.0}, " than every sample, no guarantee"),
+        ({"base_rate": None}, " packets per step, "),
     ],
 )
-def test_a_missing_verdict_has_a_reason(changes: dict[str, object], reason: str) -> None:
-    """In one sentence."""
-    assert verdict(replace(simulated(), **changes)) == reason  # type: ignore[arg-type]
+def test_a_verdict_states_what_it_lacks(changes: dict[str, object], told: str) -> None:
+    """In the first lines, and in the document."""
+    found = replace(simulated(), **changes)  # type: ignore[arg-type]
+    assert told in verdict(found)
+    assert found.document()["verdict"] == "; ".join(found.verdict)
+
+
+def test_a_table_has_a_row_for_each_link_and_fits() -> None:
+    """Rate, share of the packets, price, power and battery, and the share of the guarantee; then all links."""
+    found = replace(taciturn.evaluate(taciturn.load("quadruple-tank"), steps=20_000), notes=())
+    costs, links = found.table_texts()
+    assert max(map(len, [*costs.splitlines(), *links.splitlines()])) <= PLAIN
+    assert "level-1" not in costs
+    rows = {line.split()[0]: line for line in links.splitlines()[2:]}
+    assert [*rows] == [*found.rates, "all"]
+    share = found.share
+    assert share is not None
+    assert share.value == pytest.approx(sum(rate.value for rate in found.rates.values()) / (4 * 0.5))
+    for link, days in found.battery_days.items():
+        assert str(found.rates[link]) in rows[link]
+        assert f" {days.rounded()} " in rows[link]
+        assert rows[link].endswith(" 25.0 %")
+    assert sum(found.guarantee_shares.values()) == pytest.approx(1)
+    assert decode(encode(found)).verdict == found.verdict
+
+
+def test_methods_are_printed_on_request_and_last() -> None:
+    """With the seed and the time; ``print`` has none of them."""
+    found = simulated()
+    told, more = str(found), found.text(verbose=True)
+    assert more.startswith(told)
+    assert [line.split()[0] for line in more[len(told) :].strip().splitlines() if line[0] != " "] == [
+        "method",
+        "seed",
+        "time",
+    ]
 
 
 def test_a_rate_within_three_standard_errors_of_its_certified_bounds_has_no_note() -> None:

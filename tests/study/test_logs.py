@@ -88,9 +88,9 @@ def test_the_packets_of_all_parts_are_counted(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.evidence
 def test_a_run_finds_the_same_packets_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of kilobytes, so that there are many."""
-    whole = run_network("two-mass", ticks=400, seed=3)
+    whole = run_network("two-mass", steps=400, seed=3)
     monkeypatch.setattr(run, "PART", 2000)
-    parts = run_network("two-mass", ticks=400, seed=3)
+    parts = run_network("two-mass", steps=400, seed=3)
     assert parts.arrived == whole.arrived
     assert all(np.array_equal(parts.sends[link], sent) for link, sent in whole.sends.items())
 
@@ -99,7 +99,7 @@ def test_a_run_finds_the_same_packets_in_parts(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")
 def test_the_nodes_of_a_killed_run_end(tmp_path: Path) -> None:
     """They would write their logs for ever."""
-    command = [sys.executable, "-m", "taciturn", "network", "two-mass", "--real-time", "--ticks", "1000000"]
+    command = [sys.executable, "-m", "taciturn", "network", "two-mass", "--real-time", "--steps", "1000000"]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "TMPDIR": str(tmp_path)}) as running:
         until = time.monotonic() + 120
         while not list(tmp_path.glob("*/controller.jsonl")) and time.monotonic() < until:

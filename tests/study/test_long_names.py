@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -13,7 +15,7 @@ import pytest
 import taciturn
 from taciturn import Estimate
 from taciturn._figure import Panel, Series, draw
-from taciturn._text import WIDTH, folded, table_text, wrapped_text
+from taciturn._text import PLAIN, folded, table_text, wrapped_text
 from taciturn_studies.compare import Comparison, Contestant
 from taciturn_studies.compare import _at_rate as at_rate
 from taciturn_studies.goal import RateGoal
@@ -46,7 +48,7 @@ def comparison() -> Comparison:
 def test_every_line_of_a_comparison_fits_and_every_number_is_whole() -> None:
     """Long names take several lines, of which together nothing is missing."""
     text = str(comparison())
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= PLAIN
     one: Contestant = comparison().ranking[0]
     assert text.count(str(one.cost)) == 3
     assert PATH + "/excess.toml" in "".join(line[:28].strip() for line in text.splitlines())
@@ -79,9 +81,25 @@ def test_a_table_with_two_long_names_and_a_wide_number_fits() -> None:
     """The names give way."""
     cells = [PATH, PATH, "0.1234567890 ± 0.0000000012", "1"]
     text = table_text(["", "other", "cost", "rate"], [cells, ["a", "b", "1", "2"]], 2)
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= PLAIN
     assert cells[2] in text
-    assert max(map(len, wrapped_text(f"name: {PATH}/{PATH}").splitlines())) <= WIDTH
+    assert max(map(len, wrapped_text(f"name: {PATH}/{PATH}").splitlines())) <= PLAIN
+
+
+@pytest.mark.parametrize(("columns", "most"), [(30, 40), (60, 60), (100, 100), (300, 120)])
+def test_text_has_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch, columns: int, most: int) -> None:
+    """Between 40 and 120 columns; a wide table is whole there, and a file has 80 columns."""
+    header, cells = ["name", *(f"a heading with words {i}" for i in range(6))], ["row", *6 * ["0.1234567"]]
+    text = "word " * 60
+    in_a_file = table_text(header, [cells], 1)
+    assert max(map(len, wrapped_text(text).splitlines())) <= PLAIN
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr("shutil.get_terminal_size", lambda fallback: os.terminal_size((columns, 24)))
+    assert most - 5 < max(map(len, wrapped_text(text).splitlines())) <= most
+    shown = table_text(header, [cells], 1)
+    assert max(map(len, shown.splitlines())) <= most
+    assert ("\n\n" in shown) == (columns < 80)
+    assert (len(shown.splitlines()) < len(in_a_file.splitlines())) == (columns > 80)
 
 
 @pytest.mark.parametrize("names", [["a", "b"], [PATH, "b"]])

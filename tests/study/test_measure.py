@@ -46,7 +46,7 @@ def test_a_limit_that_passes_before_any_answer_is_one_sentence(monkeypatch: pyte
     """A prediction that runs out of time is not asked again, and the simulation that it began does not continue."""
     seconds = itertools.count(0.0, 0.5)
     monkeypatch.setattr(_progress, "clock", lambda: next(seconds))
-    with pytest.raises(ProblemError, match=r"time_limit is 0\.1, and no result was available within"):
+    with pytest.raises(ProblemError, match=r"time_limit is 0\.1, but no result was available within"):
         taciturn.evaluate(taciturn.load("two-mass-lqg"), standard_error=1e-9, time_limit=0.1)
     loop = taciturn.load("two-mass-lqg").close(taciturn.load("two-mass-lqg").design())
     begun = Averaging(loop)
@@ -97,7 +97,7 @@ def test_every_method_is_asked_by_the_name_that_the_answer_gives_it() -> None:
         assert abs(one.cost.value - found[0].cost.value) <= 5 * spread
     with pytest.raises(ProblemError, match="method is 'conditional sampling', but"):
         taciturn.evaluate(taciturn.load("remote-scalar"), method="conditional sampling")
-    with pytest.raises(ProblemError, match="expected 'auto'"):
+    with pytest.raises(ProblemError, match="expected method 'auto'"):
         taciturn.evaluate(integrators(2), method="conditional sampling", steps=10_000)
 
 

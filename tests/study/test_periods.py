@@ -55,7 +55,7 @@ def test_a_period_that_cannot_be_sought_is_refused() -> None:
     """A discrete plant, no period, a least period above the first, a rate that is none."""
     with pytest.raises(ProblemError, match="lqg has no period to tune here; expected a continuous"):
         tune_period(taciturn.load("two-mass-lqg"), rate=0.3, least=0.1)
-    with pytest.raises(ProblemError, match=r"the least period is 2 s, but at 1 sends per second"):
+    with pytest.raises(ProblemError, match=r"the least period is 2 s, but at 1 send per second"):
         tune_period(INTEGRATOR, rate=1.0, least=2.0)
     with pytest.raises(ProblemError, match="rate is 0"):
         tune_period(INTEGRATOR, rate=0.0, least=0.1)

@@ -52,24 +52,33 @@ def test_the_input_of_a_path_is_the_gain_times_the_prediction() -> None:
 def test_a_printed_path_names_inputs_and_predictions() -> None:
     """One column for the input, two for the prediction, and a sentence on them."""
     text = str(path())
-    assert text.split("\n", 1)[0].split() == ["time", "(s)", "x1", "x2", "u1", "xhat1", "xhat2", "sensor"]
+    assert text.split("\n\n")[1].split("\n", 1)[0].split() == [
+        "time",
+        "(s)",
+        "x1",
+        "x2",
+        "u1",
+        "xhat1",
+        "xhat2",
+        "sensor",
+    ]
     assert "prediction of x by the actuator's model" in text
 
 
 def test_a_drawn_path_names_predictions() -> None:
-    """In the legend of the states; the axes of the inputs have one curve."""
+    """In the key of the states; the only input needs none."""
     figure: Any = path().plot()
     states, inputs = figure.axes[:2]
-    assert [text.get_text() for text in inputs.get_legend().get_texts()] == ["$u_{1}$"]
+    assert (states.get_ylabel(), inputs.get_ylabel(), inputs.get_legend()) == ("states", "input", None)
     shown = [text.get_text() for text in states.get_legend().get_texts()]
-    assert shown == ["$x_{1}$", "$x_{2}$", "prediction of $x_{1}$", "prediction of $x_{2}$"]
+    assert shown == ["$x_{1}$", "$x_{2}$", "prediction of the actuator"]
 
 
 def test_the_diagram_and_the_texts_count_the_inputs_of_the_plant() -> None:
     """One input next to two predicted states."""
     (actuator,) = (place for place in loop().policy.diagram().places if "actuator" in place.nodes)
     assert (actuator.applies, actuator.predicts) == (1, 2)
-    assert actuator.lines[-2:] == ["predicts state (2)", "applies input (1)"]
+    assert actuator.tasks == ("applies u", "predicts it between steps")
     document = describe(PROBLEM).document()
     assert document["diagram"]["places"][-1]["predicts"] == 2
     for one in (loop(), loop().policy, loop().problem):

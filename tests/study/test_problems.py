@@ -35,7 +35,9 @@ NAME: Any = "two-mass-lqg"
 def test_a_name_is_no_problem(study: Callable[[Any], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is read by ``load`` first."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(taciturn.ProblemError, match=r"is 'two-mass-lqg'; expected a Problem: taciturn\.load reads one"):
+    with pytest.raises(
+        taciturn.ProblemError, match=r"is 'two-mass-lqg'; expected a Problem \(taciturn\.load reads one"
+    ):
         study(NAME)
 
 
@@ -64,8 +66,8 @@ def test_files_are_read_by_their_name() -> None:
 @pytest.mark.parametrize(
     ("fates", "told"),
     [
-        ({"motor": Fate()}, "fates has the link 'motor'; expected links of lqg: actuator"),
-        ({"sensor": Fate(loss=0.2)}, "fates has the link 'sensor'; expected links of lqg: actuator"),
+        ({"motor": Fate()}, "fates names the link 'motor'; expected links of the policy lqg: actuator"),
+        ({"sensor": Fate(loss=0.2)}, "fates names the link 'sensor'; expected links of the policy lqg: actuator"),
         ({"actuator": 0.2}, r"fates\['actuator'\] is 0.2; expected a Fate"),
         ([Fate()], "fates is .*; expected a Mapping"),
     ],
@@ -73,4 +75,4 @@ def test_files_are_read_by_their_name() -> None:
 def test_fates_are_those_of_the_links(fates: Any, told: str) -> None:
     """A link that the policy does not have, and a number in place of a fate."""
     with pytest.raises(taciturn.ProblemError, match=told):
-        taciturn.run_network(NAME, ticks=5, fates=fates)
+        taciturn.run_network(NAME, steps=5, fates=fates)

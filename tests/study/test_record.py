@@ -11,6 +11,7 @@ import pytest
 import taciturn
 from taciturn import Estimate
 from taciturn.model.result import Field, Result, Tabular
+from taciturn.simulation.trajectory import course
 from taciturn.study.record import decode, encode
 
 CHANGES: dict[str, Mapping[str, object]] = {
@@ -79,9 +80,9 @@ def test_a_number_that_is_listed_once_is_in_document_table_text_and_record() -> 
 
 
 def test_results_other_than_evaluations_are_restored() -> None:
-    """A path with its arrays, and certificates; a tuned problem has functions, which its file states."""
+    """A course with its arrays, and certificates; a tuned problem has functions, which its file states."""
     problem = taciturn.load("two-mass-lqg")
-    for found in (taciturn.simulate(problem.close(problem.design()), 20), taciturn.certify(problem)):
+    for found in (course(problem.close(problem.design()), 20, paths=4), taciturn.certify(problem)):
         again = decode(encode(found))
         assert again.document() == found.document()
         assert str(again) == str(found)

@@ -186,7 +186,7 @@ def test_the_pictures_have_the_panels_of_the_figures(name: str) -> None:
     if name not in QUICK:
         return
     sizes = [len(a.lines) for f in (chapter("chapter3"), chapter("chapter6")) for a in f.pictures[f.name].axes]
-    assert sizes == [5, 5, 2, 2, 2, 0, 2]
+    assert sizes == [5, 5, 2, 2, 2, 1, 3]
 
 
 def test_the_notes_of_chapter_3_are_true() -> None:
@@ -285,7 +285,7 @@ def test_the_course_of_a_mission_sums_to_its_cost() -> None:
     assert found.sends["actuator"].mean() == pytest.approx(whole.rates["actuator"].value, abs=5e-4)
     assert course(loop, 59, paths=2).final is None
     for run in (course, taciturn.simulate):
-        with pytest.raises(taciturn.ProblemError, match=r"ticks is 61, but the horizon is 60; .*at most 60"):
+        with pytest.raises(taciturn.ProblemError, match=r"steps is 61, but the horizon is 60; .*at most 60"):
             run(loop, 61)
 
 
@@ -321,6 +321,6 @@ def test_a_course_is_what_its_seed_says_and_refuses_nonsense() -> None:
     assert (one.cost == again.cost).all()
     assert (one.cost[1:] != other.cost[1:]).any()
     assert one.sends["actuator"].tolist() == [1, 0, 0, 1, 0, 0, 1]
-    for wrong in ({"ticks": 0}, {"paths": 1}, {"seed": -1}):
+    for wrong in ({"steps": 0}, {"paths": 1}, {"seed": -1}):
         with pytest.raises(taciturn.ProblemError, match=f"{next(iter(wrong))} is "):
-            course(loop, **{"ticks": 7, **wrong})
+            course(loop, **{"steps": 7, **wrong})

@@ -109,16 +109,19 @@ def test_given_shares_are_kept() -> None:
     [
         ({}, "none of rate, cost, traffic and violation is given"),
         ({"rate": 0.3, "traffic": 1.0}, "rate and traffic are given"),
-        ({"rate": {"level": 0.3}, "link": "level"}, "expected rates by link, and no link"),
-        ({"rate": {"pump": 0.3}}, "link is 'pump', on which distributed does not decide; expected level or valve"),
+        ({"rate": {"level": 0.3}, "link": "level"}, "expected a rate for each link, without the option 'link'"),
+        (
+            {"rate": {"pump": 0.3}},
+            "link is 'pump', but the policy distributed makes no send decisions on this link; expected the link level",
+        ),
         ({"traffic": "-5%"}, "expected a number, or a percentage such as 50% of the traffic"),
         (
             {"traffic": 50.0},
-            "the traffic 50 per step is above the traffic of sending at every step; expected at most 5",
+            "the traffic budget of 50 per step is above the traffic of sending every sample; expected at most 5",
         ),
-        ({"rate": {"level": 1.5}}, "the rate 1.5 of level is above the rate of sending at every step"),
-        ({"cost": 0.01}, "is below the cost of sending at every step"),
-        ({"rate": 0.3}, "decides on 2 links, and a rate is given without a link"),
+        ({"rate": {"level": 1.5}}, "the rate 1.5 of the link level is above the rate of sending every sample"),
+        ({"cost": 0.01}, "is below the cost of sending every sample"),
+        ({"rate": 0.3}, "makes send decisions on 2 links, but a rate is given without a link"),
     ],
 )
 def test_budgets_that_cannot_be_met_are_refused(budget: Mapping[str, Any], sentence: str) -> None:
@@ -148,8 +151,8 @@ def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch)
     assert isinstance(found.clocks, LinkClocks)
     assert found.ranking[0].cost.value < found.clocks.cost
     assert found.document()["clocks"]["kind"] == "model"
-    with pytest.raises(ProblemError, match="expected a rate, perhaps with a link, or a traffic alone"):
-        taciturn.compare(rivals)
+    with pytest.raises(ProblemError, match="expected either a rate, with or without a link, or a traffic"):
+        taciturn.compare(rivals, 0.3, traffic=2.0)
 
 
 def test_a_traffic_that_no_dead_band_reaches_is_refused_with_the_range(monkeypatch: pytest.MonkeyPatch) -> None:

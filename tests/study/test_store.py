@@ -160,11 +160,13 @@ def test_a_complete_store_on_a_read_only_disk_is_read(tmp_path: Path, monkeypatc
     assert save_whole(first, tmp_path / "result.nc") == (False, note)
     assert {path: path.read_bytes() for path in tmp_path.glob("**/*") if path.is_file()} == before
     with (
-        pytest.raises(ProblemError, match=r"cannot be written to \(Read-only file system\); its answers are intact"),
+        pytest.raises(ProblemError, match=r"cannot be written to \(Read-only file system\); its results are intact"),
         pytest.warns(UserWarning, match="was filled by another problem"),
     ):
         swept(tmp_path, **cell, seed=1)
-    with pytest.raises(ProblemError, match=r"new' cannot be used \(Read-only file system\); expected a folder"):
+    with pytest.raises(
+        ProblemError, match=r"new' cannot be used \(Read-only file system\); expected a writable folder"
+    ):
         swept(tmp_path / "new", **cell)
 
 
@@ -231,7 +233,7 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
         ProblemError, match=r"is not a store and contains other files, such as 'thesis.txt'; expected an empty"
     ):
         swept(tmp_path)
-    with pytest.raises(ProblemError, match=r"cannot be used \(.*\); expected a folder that can be written to"):
+    with pytest.raises(ProblemError, match=r"cannot be used \(.*\); expected a writable folder"):
         swept(tmp_path / "thesis.txt" / "store")
     with pytest.raises(ProblemError, match=r"thesis.txt' is a file; expected a folder or an unused name"):
         swept(tmp_path / "thesis.txt")
@@ -278,7 +280,7 @@ def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> No
     ran = run_with_files_of(256, tmp_path / "s")
     assert ran.returncode == 2
     assert ran.stderr.startswith("taciturn: the store")
-    assert "cannot be written to (File too large); its answers are intact: free disk space" in ran.stderr
+    assert "cannot be written to (File too large); its results are intact: free disk space" in ran.stderr
     assert ran.stderr.count("\n") == 1
     assert files(tmp_path / "s") == []
     sweep(load("two-mass-lqg"), {"theta": [0.1, 1.0]}, store=tmp_path / "s", standard_error=1e-2)

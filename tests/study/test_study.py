@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import Network, Plant
+from taciturn import Network, Plant, ProblemError
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.study.periodic import clock_of
+from taciturn_studies.tradeoff import usual_values
 from taciturn_thesis.reproduce import reproduce
 
 
@@ -44,7 +45,7 @@ def test_a_guarantee_is_printed_as_the_percentage_that_was_asked_for(theta: floa
     """The effect of rounding on a proved guarantee is far below the digits of a percentage."""
     plant, cost = taciturn.Plant([[1.2]], [[1.0]], [[0.01]]), taciturn.Cost([[1.0]], [[0.5]])
     shown = str(taciturn.evaluate(taciturn.design.excess(plant, cost, theta=theta, actuation="model")))
-    assert f"  +{100 * theta:.2f} %" in next(line for line in shown.splitlines() if line.startswith("guarantee  "))
+    assert f"  +{100 * theta:#.3g} %" in next(line for line in shown.splitlines() if line.startswith("guarantee  "))
 
 
 def test_a_bound_at_a_measured_rate_is_rounded_once() -> None:
@@ -85,6 +86,22 @@ def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
     json.dumps(found.document(), allow_nan=False)
     labels = [text.get_text() for text in found.plot().axes[0].get_legend().get_texts()]
     assert {"lqg, hold", "lqg, model", "periodic control, hold", "periodic control, model"} <= set(labels)
+
+
+def test_a_tradeoff_without_values_varies_the_parameter_of_the_policy_around_its_value() -> None:
+    """By factors of two, up to eight on either side; values for which no policy can be designed are left out."""
+    masses = taciturn.load("two-mass")
+    assert usual_values(masses) == {"theta": [0.0065, 0.013, 0.026, 0.052, 0.104, 0.208, 0.416]}
+    clock = masses.changed({"kind": "periodic", "theta": None, "every": 3})
+    assert usual_values(clock) == {"every": [1, 2, 3, 6, 12, 24]}
+    pattern = masses.changed({"kind": "periodic-schedule", "theta": None, "actuation": None, "length": 4, "sends": 2})
+    assert usual_values(pattern) == {"sends": [1, 2, 4]}  # of the longest pattern
+    assert list(usual_values(taciturn.load("remote-scalar"))) == ["theta"]  # the first of two
+    always = masses.changed({"kind": "all-time", "theta": None, "actuation": None})
+    with pytest.raises(ProblemError, match="all-time has no parameter that changes its rate; expected a key to vary"):
+        taciturn.tradeoff(always)
+    found = taciturn.tradeoff(clock)
+    assert [point.values["every"] for point in found.points] == [1, 2, 3, 6, 12, 24]
 
 
 @pytest.mark.evidence
@@ -176,10 +193,9 @@ def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
     """Four panels; one row per step."""
     problem = taciturn.load("two-mass-lqg").changed({"actuation": "model"})
     path = taciturn.simulate(problem.close(problem.design()), 50)
-    assert [axis.get_ylabel() for axis in path.plot().axes] == ["state", "input", "trigger", "sends"]
-    assert all(axis.get_legend().get_bbox_to_anchor()._bbox.x0 > 1 for axis in path.plot().axes), "beside the curves"
+    assert [axis.get_ylabel() for axis in path.plot().axes] == ["outputs", "force", "", "trigger / threshold"]
     table = path.to_pandas()
-    assert table.shape == (50, 4 + 4 + 1 + 2 + 2 + 1)
+    assert table.shape == (50, 4 + 4 + 1 + 2 + 2 + 2)
     assert table.index.name == "time"
     assert (table[["y1", "y2"]] == path.measurement).all(axis=None)
 
@@ -222,16 +238,18 @@ def test_averages_and_missions_are_not_traded_off_in_one_table() -> None:
         taciturn.tradeoff(problem, {"cost.discount": [1.0, 0.9]})
 
 
-def test_a_picture_shows_the_rate_of_every_link() -> None:
-    """Two scheduled links, two panels with their own axes; the points of each lie at the rates of its link."""
+def test_a_picture_of_several_links_has_their_traffic_and_the_share_of_each() -> None:
+    """One panel: the points lie at the priced sum of the rates. The strip below has a region for each link."""
     problem = taciturn.load("remote-scalar").changed({"zeta": 1.65})
     found = taciturn.tradeoff(problem, {"theta": [0.1, 1.0]}, standard_error=0.05)
-    panels = found.plot().axes
-    for axis, link in zip(panels, ("actuator", "sensor"), strict=True):
-        assert axis.get_xlabel() == f"sends of the {link} link per step"
-        rates = sorted(point.evaluation.rates[link].value for point in found.points)
-        assert sorted(axis.containers[0].lines[0].get_xdata()) == rates
-    assert not panels[0].get_shared_x_axes().joined(*panels)
+    costs, shares = found.plot().axes
+    traffic = sorted(one.evaluation.traffic.value for one in found.points if one.evaluation.traffic is not None)
+    assert sorted(costs.containers[0].lines[0].get_xdata()) == pytest.approx(traffic)
+    assert shares.get_xlabel() == "traffic per step: sends on all links"
+    assert [text.get_text() for text in shares.texts if text.get_text()] == ["actuator", "sensor"]
+    first = shares.collections[0].get_paths()[0].vertices
+    point = min((one.evaluation for one in found.points), key=lambda one: one.rates["actuator"].value)
+    assert any(y == pytest.approx(100 * point.rates["actuator"].value / traffic[0]) for y in first[:, 1])
 
 
 def test_a_discounted_rate_weighs_each_send_as_its_cost() -> None:

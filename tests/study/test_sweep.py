@@ -77,7 +77,9 @@ def test_numbers_are_the_same_however_they_are_written() -> None:
 
 def test_costs_that_count_differently_are_not_in_one_grid() -> None:
     """A finite-horizon run next to an average."""
-    with pytest.raises(ProblemError, match="the grid mixes cost in total and cost per step; expected one unit"):
+    with pytest.raises(
+        ProblemError, match="the grid mixes results with the units cost in total and cost per step; expected one unit"
+    ):
         sweep(load("lossy-double-integrator"), {"cost.horizon": [100, None]}, steps=2000)
 
 
@@ -237,17 +239,17 @@ def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("over", "sentence"),
     [
-        ({}, "there are no values; expected a name with at least one value"),
-        ({"theta": []}, "there are no values"),
+        ({}, "no values are given; expected a name with at least one value"),
+        ({"theta": []}, "no values are given"),
         ({"theta": "0.1"}, "the values of theta are '0.1'; expected a list"),
-        ({"theta": [0.1, 0.1]}, "theta has the value 0.1 twice; expected each value once"),
-        ({"thta": [0.1]}, "policy.thta is not a parameter of lqg; .* Did you mean 'theta'"),
-        ({"method": [1]}, "the dimension name method is reserved by xarray; expected policy.method"),
+        ({"theta": [0.1, 0.1]}, "theta contains 0.1 twice; expected each value only once"),
+        ({"thta": [0.1]}, "policy.thta is not a parameter of the policy kind lqg; .* Did you mean 'theta'"),
+        ({"method": [1]}, "the dimension name method is reserved by xarray; expected the name policy.method"),
         ({"theta": [-1.0, -2.0]}, "theta is -1; expected 0 ≤ theta"),
         ({"theta": [0.1], "policy.theta": [0.2]}, "theta and policy.theta are the same, or one contains the other"),
         ({"plant.initial.mean": [[0.0]], "plant.initial": [{}]}, "plant.initial.mean and plant.initial are the same"),
-        ({"policy.a.b": [1, 2]}, "policy.a.b is not a key; expected a key of "),
-        ({"theta": [1j]}, "a value of theta is 1j; expected numbers, words, lists or arrays"),
+        ({"policy.a.b": [1, 2]}, "policy.a.b is not a key of a problem; expected a key of "),
+        ({"theta": [1j]}, "a value of theta is 1j; expected numbers or words, or lists or arrays"),
         ({"theta": np.array(0.1)}, "the values of theta are .*; expected a list"),
         ([("theta", [0.1])], r"over is .*; expected a Mapping"),
         ({"seed": [1, 2]}, r"seed is not a key of a problem; expected one sweep for each seed \(--seed, seed=\)"),

@@ -158,6 +158,8 @@ def test_the_text_of_a_run_shows_degraded_nodes_and_packets_that_were_sent_again
         sent = {"actuator": _datagrams("actuator", reports)}
         run = NetworkRun(LOOP, "step", None, {}, sent, reports, np.ones(5), {}, {}, 0, True, 0.1, ())
         text[again] = " ".join(str(run).split())
-    assert "5 sent, 4 delivered, 1 lost, 2 marks, 3 sent again degraded actuator: 2 late" in text[3]
+    assert "sent delivered dropped marks sent again actuator 5 4 1 2 3 policy" in text[3]
+    assert "degraded by events that no theory covers: actuator (2)" in text[3]
+    assert "degraded actuator: 2 late" in text[3]
     assert "degraded" not in text[0]
     assert "again" not in text[0]

@@ -112,7 +112,7 @@ def test_percent_are_of_sending_always() -> None:
     [
         (MASSES, {"rate": "+5%"}, "rate is '+5%'; expected a number, or a percentage such as 50%"),
         (MASSES, {"cost": "5%"}, "cost is '5%'; expected a number, or a percentage such as +5%"),
-        (MASSES, {"cost": "-5%"}, "the cost 0.696804 per step is below the cost of sending at every step"),
+        (MASSES, {"cost": "-5%"}, "the cost budget of 0.696804 per step is below the cost of sending every sample"),
         (MASSES, {"cost": "-100%"}, "cost is -1; expected -1 < cost"),
         (MASSES, {"rate": "0%"}, "rate is 0; expected 0 < rate"),
         (MASSES, {"rate": "0.3"}, "rate is '0.3'; expected a number"),
@@ -199,7 +199,7 @@ def test_a_held_input_is_tuned_to_a_cycle_of_intervals() -> None:
     assert by_cost.parameter.value == (4, 3)
     assert by_cost.beyond is not None
     assert by_cost.evaluation.cost.value <= 0.9 < by_cost.beyond.evaluation.cost.value
-    with pytest.raises(ProblemError, match="is below the cost of sending at every step"):
+    with pytest.raises(ProblemError, match="is below the cost of sending every sample"):
         tune(problem, cost=0.7)
 
 
@@ -231,15 +231,15 @@ def test_links_have_knobs_of_their_own() -> None:
         (MASSES, {"rate": 0.05}, "the rate ranges from 0.20"),
         (MASSES, {"cost": 10.0}, "expected a cost within this range"),
         (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "the rate ranges from 0.58"),
-        (MASSES, {}, "expected one of them"),
-        (MASSES, {"rate": 0.3, "cost": 1.0}, "expected one of them"),
+        (MASSES, {}, "expected exactly one budget"),
+        (MASSES, {"rate": 0.3, "cost": 1.0}, "expected exactly one budget"),
         (MASSES, {"rate": -0.3}, "rate is -0.3"),
-        (MASSES, {"rate": 0.3, "link": "sensor"}, "link is 'sensor', on which lqg does not decide"),
+        (MASSES, {"rate": 0.3, "link": "sensor"}, "link is 'sensor', but the policy lqg makes no send decisions"),
         (with_policy("all-time"), {"rate": 0.3}, "all-time has no parameter"),
         (
             taciturn.load("remote-scalar"),
             {"rate": {"zz": 0.3}},
-            "for which remote-lqg has no parameter",
+            "but the policy kind remote-lqg has no parameter",
         ),
     ],
 )
@@ -253,16 +253,20 @@ def test_what_cannot_be_met_is_one_sentence(problem: Problem, budget: dict[str, 
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above the rate of sending at every step; expected at most 1"),
+        (
+            MASSES,
+            {"rate": 1.5},
+            "the rate budget of 1.5 per step is above the rate of sending every sample; expected at most 1",
+        ),
         (MASSES, {"rate": 1e308}, "expected at most 1"),
         (
             MASSES,
             {"cost": 0.5},
-            "the cost 0.5 per step is below the cost of sending at every step; expected at least 0.733",
+            "the cost budget of 0.5 per step is below the cost of sending every sample; expected at least 0.733",
         ),
-        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above the rate of sending at every step"),
-        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below the cost of sending at every step"),
-        (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost 50 in total is below"),
+        (INTEGRATOR, {"rate": 100.0}, "the rate budget of 100 per second is above the rate of sending every sample"),
+        (INTEGRATOR, {"cost": 1.0}, "the cost budget of 1 per second is below the cost of sending every sample"),
+        (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost budget of 50 in total is below"),
     ],
 )
 def test_what_no_tick_is_left_for_is_refused_at_the_first_look(
@@ -321,6 +325,8 @@ def test_a_budget_is_met_up_to_rounding(excess: float, confidence: float, words:
     tuned = Tuned(CostGoal(1.0), Parameter("theta", 1.0, 0.0), MASSES, found, None, None)
     assert tuned.confidence == confidence
     assert words in " ".join(str(tuned).split())
+    blurred = replace(tuned, evaluation=replace(found, cost=Estimate(0.9, 0.01, "simulation")))
+    assert "met with 99.9 % confidence" in " ".join(str(blurred).split())
 
 
 def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Received, Send
 from taciturn.study.evaluate import forgotten_start, without_effect
 
-PAGE = Path(__file__).parents[2] / "docs" / "problem-file.md"
+TABLE = Path(__file__).parents[2] / "docs" / "used.txt"
 SOME = ("lqg", "lossy-lqg", "integral", "optimal")
 COST = Cost(np.eye(2), [[0.5]])
 ONE = np.eye(1)
@@ -29,8 +29,7 @@ SCALAR = Plant(ONE, ONE, ONE)
 
 def printed() -> Mapping[str, Mapping[str, str]]:
     """Return the page's table, by kind and property."""
-    text = PAGE.read_text(encoding="utf-8")
-    lines = [line for line in text.partition("<!-- used -->\n")[2].partition("\n\n")[0].splitlines() if line]
+    lines = TABLE.read_text(encoding="utf-8").splitlines()
     heads, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     found: dict[str, dict[str, str]] = {kind: {} for kind in KINDS}
     for names, *marks in rows:
@@ -71,7 +70,7 @@ def test_every_kind_uses_or_refuses_every_property(kind: str) -> None:
 @pytest.mark.evidence
 def test_the_page_holds_the_table_that_is_printed() -> None:
     """To the letter."""
-    assert f"<!-- used -->\n{table()}\n" in PAGE.read_text(encoding="utf-8")
+    assert table() + "\n" == TABLE.read_text(encoding="utf-8")
 
 
 def test_the_table_has_every_kind_and_every_property() -> None:
@@ -96,8 +95,8 @@ def test_a_link_that_carries_no_packet_has_no_properties(given: Mapping[str, Any
     with pytest.raises(ProblemError) as refused:
         close(FULL, policy, network, COST)
     assert str(refused.value) == (
-        f"network.{name} is given, but no node of excess receives a packet on the sensor link; expected properties of "
-        f"the actuator link only: remove network.{name}"
+        f"network.{name} is given, but no node of the policy excess receives a packet on the sensor link; expected "
+        f"properties of the actuator link only: remove network.{name}"
     )
 
 
@@ -108,10 +107,10 @@ def test_a_packet_that_nobody_receives_cannot_be_lost() -> None:
     heard = Assign("actuator", "input", ({"input": 0 * ONE}, {"y": -0.5 * ONE}), Received("sensor"))
     deaf, hearing = (Policy("mine", (send, last), SCALAR, sites=(place,)) for last in (hold, heard))
     lossy, weights = Network("udp", sensor_loss=0.1), Cost(ONE, ONE)
-    with pytest.raises(ProblemError, match="no node of mine receives a packet on the sensor link; expected"):
+    with pytest.raises(ProblemError, match="no node of the policy mine receives a packet on the sensor link; expected"):
         close(SCALAR, deaf, lossy, weights)
     assert close(SCALAR, hearing, lossy, weights).violated_assumptions
-    with pytest.raises(ProblemError, match="each receiver of mine already has"):
+    with pytest.raises(ProblemError, match="each receiver of the policy mine already has"):
         close(SCALAR, hearing, Network(payload="float32"), weights)
 
 
@@ -158,7 +157,9 @@ def test_a_function_of_the_design_alone_is_refused() -> None:
 
 def test_a_kind_that_is_unknown_is_refused_when_the_problem_is_made() -> None:
     """And not when it is designed."""
-    with pytest.raises(ProblemError, match=r"policy.kind is 'decay'; expected one of absolute, all-time"):
+    with pytest.raises(
+        ProblemError, match=r"policy.kind is 'decay'; expected one of the policy kinds absolute, all-time"
+    ):
         Problem(FULL, COST, Network(), "decay")
 
 
@@ -177,7 +178,9 @@ def test_options_of_a_simulation_are_noted_where_nothing_is_simulated() -> None:
 def test_a_grid_has_each_value_once() -> None:
     """In a tradeoff as in a sweep; 1 and 1.0 are one value."""
     problem = Problem(SCALAR, Cost(ONE, ONE), Network(), "lqg", {"theta": 0.5})
-    with pytest.raises(ProblemError, match="theta has the value 1 twice; expected each value once"):
+    with pytest.raises(
+        ProblemError, match="the list of values for theta contains 1 twice; expected each value only once"
+    ):
         taciturn.tradeoff(problem, {"theta": [1, 0.5, 1.0]})
 
 

@@ -307,7 +307,7 @@ def test_tune_finds_the_largest_threshold_within_a_budget_of_violations() -> Non
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (replace(limited(), limits=None), 0.1, "violation is given for a problem without limits of its states"),
+        (replace(limited(), limits=None), 0.1, "violation is given for a problem without state limits"),
         (limited(), 1.5, "violation is 1.5; expected 0 < violation < 1"),
     ],
 )
@@ -330,7 +330,10 @@ def test_an_evaluation_without_probabilities_tells_why() -> None:
     timeless = replace(KINDS["integral"], limits=Limits(ROW, high=[1.0]))
     found = taciturn.evaluate(timeless, steps=20_000)
     assert found.violations is None
-    assert "integral has no steps that can be simulated; expected a policy with a period" in found.notes[-1]
+    assert (
+        "the policy integral works in continuous time without sampling steps, so violations cannot be simulated"
+        in found.notes[-1]
+    )
 
 
 TEXT = """
@@ -370,9 +373,9 @@ def test_a_file_states_limits_of_its_outputs_or_of_combinations(tmp_path: Any) -
     ("table", "words"),
     [
         ("hihg = [1.0]", "limits.hihg is not a known key; expected one of outputs, low, high. Did you mean 'high'?"),
-        ("outputs = [[1.0]]\nhigh = [1.0]", "limits.outputs has 1 columns; expected 2, one for each state"),
-        ("high = [1.0, 2.0]", "limits.high has shape (2,); expected (1,)"),
-        ("high = 1.0", "limits.high is 1.0; expected a list"),
+        ("outputs = [[1.0]]\nhigh = [1.0]", "limits.outputs has 1 column; expected 2 columns, one for each state"),
+        ("high = [1.0, 2.0]", "limits.high has shape (2,); expected the shape (1,)"),
+        ("high = '1'", "limits.high is '1'; expected a list"),
     ],
 )
 def test_a_wrong_table_of_limits_is_one_sentence(tmp_path: Any, table: str, words: str) -> None:

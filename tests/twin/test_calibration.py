@@ -102,10 +102,10 @@ def test_a_landmark_that_is_not_there_is_missed(monkeypatch: pytest.MonkeyPatch)
         "taciturn_twins.calibration._calibrate_lens", lambda robot, _: (robot.lens.K, np.array(robot.lens.distortion))
     )
     tags = tuple(one for one in omni.landmarks if isinstance(one, Tag))
-    with pytest.raises(ProblemError, match=r"the tags \[40\] are not seen"):
+    with pytest.raises(ProblemError, match=r"does not see the tags \[40\]"):
         calibrate(dataclasses.replace(omni, landmarks=(*tags, Tag(40, 0.2, (0.0, 1.0, 0.0)))))
     white = Cube(((130, 200, 200), (140, 255, 255)), (0.3, 0.3, 0.04))
-    with pytest.raises(ProblemError, match=r"the cube at .* is not seen"):
+    with pytest.raises(ProblemError, match=r"does not see the cube at"):
         calibrate(dataclasses.replace(rover, landmarks=(white,)))
 
 

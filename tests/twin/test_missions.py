@@ -71,11 +71,11 @@ def test_a_policy_for_another_plant_is_refused() -> None:
     plant: dict[str, Any] = tables["plant"]
     endless = {"Q": [[1.0]], "R": [[1.0]]}
     cases = [
-        (omni, taciturn.load("rover"), "is not that of the omni"),
-        (rover, taciturn.load("two-mass-lqg"), "is not that of the rover"),
+        (omni, taciturn.load("rover"), "is not that of the robot omni"),
+        (rover, taciturn.load("two-mass-lqg"), "is not that of the robot rover"),
         (rover, taciturn.load("two-mass-continuous"), "is continuous"),
         (rover, changed(rover, plant={**plant, "dt": 0.2}), "dt = 0.2"),
-        (rover, changed(rover, plant={**plant, "C": [[2.0]]}), "C that is not I"),
+        (rover, changed(rover, plant={**plant, "C": [[2.0]]}), "is not the identity matrix"),
         (rover, changed(rover, cost=endless), "no cost.horizon"),
         (rover, changed(rover, cost=endless, policy={"kind": "lqg", "theta": 0.1}), "no cost.horizon"),
         (rover, changed(rover, policy={"kind": "remote-lqg", "zeta": 0.004, "controller": "actuator"}), "same site"),

@@ -11,23 +11,14 @@ from typing import Any
 
 import pytest
 from counts import few
-from twin.browser import await_ticks, await_true, browse, missing
+from twin.browser import await_ticks, await_true, missing
 from twin.feeds import OMNI, PRICE, ROVER, every_sample, picture, rows
 
-from taciturn_twins import server
 from taciturn_twins.page import Page
+from taciturn_web import events
 
 WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 740}
 ROWS = rows(ROVER, 40)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Return a browser; skip, so that nobody overlooks it, where there is none."""
-    if lacks := missing():
-        pytest.skip(f"NOT SHOWN: the page in a browser; {lacks}")
-    with browse() as browser:
-        yield browser
 
 
 @pytest.fixture
@@ -259,15 +250,16 @@ def test_a_page_with_a_token_shows_and_acts(tabs: Tabs) -> None:
 
 
 @pytest.mark.evidence
-def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs, page: Page) -> None:
-    """The page says that it has ended, and shows the next run at the same address without being touched."""
-    page.put(ROWS[0])
-    tab = tabs.open(page.url)
-    await_ticks(tab, 1)
-    page.close()
+def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs) -> None:
+    """The page says that it has ended, and shows the next run with the same address and token without being touched."""
+    with Page(("127.0.0.1", 0), "kept") as page:
+        page.begin(ROVER)
+        page.put(ROWS[0])
+        tab = tabs.open(page.url)
+        await_ticks(tab, 1)
     tab.wait_for_selector("#status[data-state=ended]")
     assert tab.is_disabled("#push")
-    with Page(page.address) as again:
+    with Page(page.address, "kept") as again:
         again.begin(OMNI)
         for row in rows(OMNI, 5):
             again.put(row)
@@ -300,14 +292,14 @@ def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
 @pytest.mark.evidence
 def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no word comes, and no end of the connection either, the page listens anew after some seconds."""
-    monkeypatch.setattr(server, "PULSE", 60.0)
+    monkeypatch.setattr(events, "PULSE", 60.0)
     page.put(ROWS[0])
     page.note("hello")
     tab = tabs.open("about:blank")
     tab.clock.install()
     tab.goto(page.url, wait_until="commit")
     tab.wait_for_selector("#status[data-state=connected]")
-    with tab.expect_request("**/events?"):
+    with tab.expect_request("**/events?*"):
         tab.clock.fast_forward(8000)
     tab.wait_for_selector("#status[data-state=connected]")
     tab.wait_for_selector("#events li")

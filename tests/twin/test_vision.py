@@ -168,7 +168,7 @@ def test_impossible_pictures_are_refused() -> None:
         camera.take(Body(ROVER).snapshot, -1)
     with pytest.raises(ProblemError, match="expected"):
         camera.lighting = -0.5
-    with pytest.raises(ProblemError, match="lacks translation"):
+    with pytest.raises(ProblemError, match="lacks the entries translation"):
         Calibration.from_document({"K": np.eye(3).tolist(), "distortion": [0] * 4, "rotation": [0] * 3, "error": 0})
 
 

@@ -1,6 +1,6 @@
-"""Analysis of closed loops without simulation: proved bounds and exactly computed properties.
+"""Analysis of closed loops without simulation: proven bounds and exactly computed properties.
 
-The package converts a closed loop to one of two forms.
+The package converts a closed loop to one of three forms.
 
 * A loop whose sends reset an error is a Markov chain of this error (``renewal``). ``taciturn.renewal`` computes its
   rate and cost.
@@ -8,4 +8,6 @@ The package converts a closed loop to one of two forms.
   that noise does not reach or that affect neither cost nor trigger. A loop over links that drop packets is a jump
   linear map. Its second and fourth moments determine whether the average cost exists and whether its standard error is
   reliable.
+* A loop in which every node sends every sample is a linear map, with an exact cost, that a simulation can run on the
+  random numbers of the loop itself (``every_sample``).
 """

@@ -1,4 +1,4 @@
-"""Send rate, cost and intervals of loops whose sends reset an error, computed without simulation.
+"""Send rate, cost and send intervals of loops in which each send resets an error, computed without simulation.
 
 Some policies decide by an error e alone that a send resets: it moves as e⁺ = A e + w while nothing is sent, and a
 packet is sent as soon as e'Ψe > δ. Steps between two sends are then independent of all others (a renewal process), and
@@ -44,7 +44,7 @@ LEAST_OF_JUMPS = 1e8  # operations for jumps in one dimension
 
 
 def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-    """Return sends per step and excess cost over sending every sample, by quadrature of the renewal equations.
+    """Compute sends per step, and cost in excess of sending every sample, by quadrature of the renewal equations.
 
     Let e be the error of the prediction after a decision, E = {e: e'Ψe ≤ δ}, and k the density of the next error. Then
 
@@ -79,7 +79,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
 
 
 class RenewalQuadrature:
-    """Solver for the renewal equations of a loop by quadrature, which can first predict the computation."""
+    """Solver for a loop's send rate and excess cost, by quadrature. It also predicts its own computing effort."""
 
     def __init__(self, loop: Loop) -> None:
         """Set up the equations without solving them."""
@@ -91,24 +91,24 @@ class RenewalQuadrature:
 
     @property
     def least(self) -> float:
-        """Least number of arithmetic operations that a solution of the renewal equations needs."""
+        """Least number of arithmetic operations with which the renewal equations can be solved."""
         return LEAST_OF_JUMPS if self.gaussian is None else self.gaussian.least
 
     @property
     def usual(self) -> float:
-        """The default relative accuracy."""
+        """Default relative accuracy of the computed send rate and excess cost."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else self.gaussian.usual
 
     def accuracy(self, error: float) -> float:
-        """Return the relative accuracy for a given absolute error of the excess cost, from a rough estimate of it."""
+        """Convert an absolute error of the excess cost to a relative accuracy, with a rough estimate of this cost."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
 
     def predict(self, accuracy: float) -> float:
-        """Return approximately how many operations a given relative accuracy needs, without solving the equations."""
+        """Predict how many arithmetic operations a relative accuracy needs, without solving the equations."""
         return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-        """Return the result of ``solve_renewal``."""
+        """Solve the renewal equations of the loop, as the function ``solve_renewal`` does."""
         if self.gaussian is not None:
             return self.gaussian.solve(accuracy, progress)
         solve_jumps = load_plugin("taciturn.quadratures", "jumps", "a quadrature under jumps")
@@ -117,7 +117,9 @@ class RenewalQuadrature:
 
 
 class ConditionalSampling:
-    """Estimates of a loop's send rate and excess cost from simulated paths that are conditioned on no send."""
+    """Estimates a loop's send rate and excess cost from simulated paths, each conditioned on the event that nothing is
+    sent.
+    """
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
         """Set up the chain without a simulation."""
@@ -128,11 +130,11 @@ class ConditionalSampling:
 
     @cached_property
     def pilot(self) -> PathAnswer:
-        """Estimate of send rate and excess cost from a pilot run with few paths."""
+        """Estimates of send rate and excess cost from a short run with few paths."""
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float, others: float) -> float:
-        """Return approximately how many operations a standard error of the excess cost needs, from a pilot run."""
+        """Predict from a short run how many operations a given standard error of the excess cost needs."""
         # if the pilot alone would take more operations than other methods, it is not run, and its number is returned
         from taciturn.renewal.paths import predict_fewest, predict_paths
 
@@ -143,7 +145,7 @@ class ConditionalSampling:
             return float("inf")
 
     def run(self, standard_error: float) -> PathAnswer:
-        """Return send rate per step and excess cost, with the given standard error of the excess cost."""
+        """Estimate sends per step and excess cost, until the excess cost has the given standard error."""
         if self.pilot.excess.standard_error <= standard_error:
             return self.pilot
         return self._solved(self._share(standard_error))
@@ -159,9 +161,9 @@ class ConditionalSampling:
 
 
 def bound_rate(loop: Loop) -> tuple[float, float] | None:
-    """Return certified bounds on the sends per step of a loop, or None if no bounds are known.
+    """Compute certified lower and upper bounds on the sends per step of a loop; return None if there are none.
 
-    They are known if one error alone decides.
+    Bounds are available if the send decision depends on a single error.
 
     Source: royen2014
     """
@@ -177,12 +179,12 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
         return None
 
 
-def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return upper bounds on the sends in any window of ``ticks`` steps: on their mean, and at a confidence level.
+def bound_sends(loop: Loop, steps: int, confidence: float = 0.999) -> WindowBound:
+    """Bound the number of sends in any window of ``steps`` steps from above: in the mean, and at a confidence level.
 
     Args:
         loop: loop whose decision depends only on the error that a send resets.
-        ticks: length of the window in steps, at most 100,000; for a longer window, add the bounds of its parts.
+        steps: length of the window in steps, at most 100,000; for a longer window, add the bounds of its parts.
         confidence: confidence of the bound on the number, in (0, 1).
 
     Raises:
@@ -201,16 +203,17 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
     """
     from taciturn.renewal.rates import sends_in_window
 
-    count("ticks", ticks)
-    if ticks > LONGEST_WINDOW:
+    count("steps", steps)
+    if steps > LONGEST_WINDOW:
         raise ProblemError(
-            f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: for a longer window, add the bounds of shorter ones"
+            f"steps is {steps}; expected at most {LONGEST_WINDOW} steps: for a longer window, add the bounds of "
+            "shorter windows"
         )
-    return sends_in_window(chain_of(loop), ticks, confidence)
+    return sends_in_window(chain_of(loop), steps, confidence)
 
 
 def expect_affordable(loop: Loop) -> None:
-    """Raise an error if the renewal equations of a loop take much longer to solve than a simulation."""
+    """Raise an error if the renewal equations of a loop would take much longer to solve than a simulation."""
     if loop.problem.jumps is not None and loop.problem.plant.states > 1:
         raise NoQuadratureError(
             "the equations for jumps in more than one dimension can take minutes to solve, so they are not solved by "
@@ -219,19 +222,19 @@ def expect_affordable(loop: Loop) -> None:
 
 
 def chain_of(loop: Loop) -> Chain:
-    """Return the error process of a loop whose send decisions and cost depend only on this error."""
+    """Find the error process of a loop whose send decisions and cost depend only on one error."""
     instance("loop", loop, Loop)
     policy, problem = loop.policy, loop.problem
     if loop.violated_assumptions:
         raise NoQuadratureError(
-            f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, or method 'auto' or "
-            "'simulation'"
+            f"the loop is not that of the design: {loop.violated_assumptions[0]}; expected the plant, network and cost "
+            "of the design, or method 'auto' or 'simulation'"
         )
     weights = _weights(policy)
     if weights is None or loop.horizon is not None:
         raise NoQuadratureError(
-            f"{policy.kind} has no closed form for this problem, and its trigger depends on more than an error that a "
-            "send resets; expected method 'auto' or 'simulation'"
+            f"the cost of {policy.kind} has no closed form in this problem, and its trigger depends on more than an "
+            "error that a send resets; expected method 'auto' or 'simulation'"
         )
     Psi, delta, Gamma = weights
     if delta <= 0:
@@ -244,7 +247,7 @@ def chain_of(loop: Loop) -> Chain:
 
 
 def decides_alone(policy: object) -> bool:
-    """Return whether a policy sends if and only if the error that a send resets exceeds a threshold."""
+    """Check whether a policy sends exactly when one error exceeds a threshold, and each send resets this error."""
     return isinstance(policy, Policy) and _weights(policy) is not None
 
 
@@ -276,25 +279,25 @@ def _parts(form: Form, signals: Mapping[str, Array]) -> tuple[Array | None, floa
 
 
 def resets(loop: Loop) -> Reset:
-    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives."""
+    """Find the error of a loop that each send resets to zero, and that between sends only Gaussian noise changes."""
     instance("loop", loop, Loop)
     if loop.violated_assumptions:
         raise ProblemError(
-            f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
-            "requires"
+            f"the loop is not that of the design: {loop.violated_assumptions[0]}; expected the plant, network and cost "
+            "of the design, which a lower bound requires"
         )
     if loop.problem.plant.changes is not None:
         raise ProblemError(
-            "the set-points change (reference.steps or file); expected constant set-points for optimal schedules and "
-            "lower bounds"
+            "the set-points change (reference.steps or reference.file); expected constant set-points for optimal "
+            "schedules and lower bounds"
         )
     if loop.policy.theory.reset is None or loop.horizon is not None:
         kind, links = loop.policy.kind, loop.policy.scheduled
         several = f"{kind} decides on several links ({', '.join(links)})"
         raise ProblemError(
             "a lower bound requires that a send resets the error that determines the cost, but "
-            f"{several if len(links) > 1 else f'a send of {kind} does not reset it'}; expected LQG control of the kind "
-            "excess with one link and actuation = 'model', or the kind consistent or near-optimal"
+            f"{several if len(links) > 1 else f'a send of {kind} does not reset it'}; expected the policy kind "
+            "'excess' with LQG control, one link and actuation = 'model', or the kind 'consistent' or 'near-optimal'"
         )
     if loop.problem.jumps is not None:
         raise ProblemError(

@@ -1,4 +1,4 @@
-"""Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i.
+"""Closed loops as switched linear maps z⁺ = F_i z + G w: the action i is the one that minimises z'Ψ_i z + c_i.
 
 The program of a step is interpreted with linear values ℓ'z and quadratic ones z'Hz (``program.quadratic``), once for
 each action: with the decision fixed, a step has no branches. So the matrices F_i, the stage cost z'M_i z and the forms
@@ -101,7 +101,7 @@ RANK = 1e-12  # eigenvalue of a form, or entry of its rows, relative to the larg
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Switched(Displayed):
-    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size."""
+    """A closed loop as a switched linear map, with its cost and trigger. The coordinates z have about unit variance."""
 
     labels: tuple[str, ...]  # names of the actions
     F: tuple[Array, ...]  # dynamics matrix of each action, (r, r)
@@ -116,26 +116,26 @@ class Switched(Displayed):
 
     @property
     def homogeneous(self) -> bool:
-        """Whether the send decision depends only on the direction of the state z, so that z can converge to zero."""
+        """Whether all constants c_i are equal, so that the send decision depends only on the direction of z."""
         return len(set(self.c)) == 1
 
     @property
     def states(self) -> int:
-        """Number of entries of z."""
+        """Number of entries of the state z."""
         return len(self.G)
 
     def margins(self, action: int) -> list[tuple[Array, float]]:
-        """Return the conditions z'Dz + d ≥ 0 under which an action is taken: (D, d) for every other action."""
+        """Return (D, d) for every other action: the loop takes the given action if all conditions z'Dz + d ≥ 0 hold."""
         own, others = action, [j for j in range(len(self.labels)) if j != action]
         return [(self.Psi[j] - self.Psi[own], self.c[j] - self.c[own]) for j in others]
 
     def under(self, action: int) -> Switched:
-        """Return the map of the loop that takes the given action at every step."""
+        """Return the map of the loop when it takes the given action at every step."""
         label, F, M, nothing = self.labels[action], self.F[action], self.M[action], np.zeros_like(self.Psi[action])
         return replace(self, labels=(label,), F=(F,), M=(M,), Psi=(nothing,), c=(0.0,), sends=0)
 
     def changed(self, inverse: Array, T: Array) -> Switched:
-        """Return this map in new coordinates y with z = T y, given the matrix T and its inverse."""
+        """Transform this map to the coordinates y defined by z = T y, given T and its inverse."""
         return replace(
             self,
             F=tuple(inverse @ F @ T for F in self.F),
@@ -147,7 +147,7 @@ class Switched(Displayed):
 
 
 def reduce_states(raw: Switched, starts: Array) -> Switched:
-    """Return an equivalent switched linear map in the fewest coordinates, scaled to about unit variance."""
+    """Transform a switched linear map to as few coordinates as possible, each scaled to about unit variance."""
     # a certificate does not depend on the scaling; unit size makes the solver more accurate
     found = relevant(raw, starts)
     T = _sizes(found)
@@ -155,7 +155,7 @@ def reduce_states(raw: Switched, starts: Array) -> Switched:
 
 
 def relevant(raw: Switched, starts: Array) -> Switched:
-    """Return a switched linear map restricted to the states that matter, without scaling to unit variance."""
+    """Remove states that neither noise nor initial states excite, and states that affect neither cost nor trigger."""
     # these are the states that the initial columns or the noise reach, and that the rows, the cost or the trigger show
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
@@ -196,7 +196,7 @@ def _sizes(found: Switched) -> Array:
 
 
 class Case(NamedTuple):
-    """Decisions and losses: a label, the option that each decision takes, and the links that drop their packets."""
+    """One case of a step: the label that each decision selects, and the links that drop their packets."""
 
     label: str
     taken: Mapping[str, int]
@@ -204,7 +204,7 @@ class Case(NamedTuple):
 
 
 def switched(loop: Loop) -> Switched:
-    """Return the switched linear map of a closed loop, including its plant."""
+    """Convert a closed loop, including its plant, to a switched linear map."""
     # z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
     # removes states without effect, such as the controller's copy of the held input.
     instance("loop", loop, Loop)
@@ -213,23 +213,25 @@ def switched(loop: Loop) -> Switched:
 
 
 def switched_innovations(loop: Loop) -> Switched:
-    """Return the switched linear map of a closed loop in innovations form; ``constant`` is tr(QΣ)."""
+    """Convert a closed loop, driven by the filter's innovations, to a switched linear map; ``constant`` is tr(QΣ)."""
     instance("loop", loop, Loop)
     refuse_loops(loop)
     innovations = loop.policy.theory.innovations
     if not loop.reducible or innovations is None:
         raise ProblemError(
-            "the loop has no innovations form: its plant, network or horizon is not that of the design; "
-            "expected those of the design; for any other loop, use switched()"
+            "the loop has no innovations form: its plant, network or horizon is not that of the design; expected the "
+            "plant, network and horizon of the design: for another loop, use switched()"
         )
     return reduce_states(*read_steps(loop, decisions_of(loop), whole=False))
 
 
 def decisions_of(loop: Loop) -> list[Case]:
-    """Return the decisions of a step by label, without losses."""
+    """List the labels that the loop's decision can select in a step, each as a case in which no packet is dropped."""
     decisions = list(loop.policy.decisions.values())
     if len(decisions) > 1:
-        raise ProblemError(f"{loop.policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
+        raise ProblemError(
+            f"the policy {loop.policy.kind} makes {len(decisions)} send decisions per step, {_unserved()}"
+        )
     if not decisions:
         return [Case("always", {})]
     ((name, trigger),) = loop.policy.decisions.items()
@@ -237,7 +239,7 @@ def decisions_of(loop: Loop) -> list[Case]:
 
 
 def attempt_of(policy: Policy) -> Case | None:
-    """Return the decisions under which a packet is sent on every link, or None if no option sends all of its links."""
+    """Return the case in which every link sends a packet; None if a decision cannot select sending on all its links."""
     taken = dict[str, int]()
     for name, trigger in policy.decisions.items():
         sends = [step for step in policy.steps if isinstance(step, Send) and step.on == name]
@@ -250,7 +252,7 @@ def attempt_of(policy: Policy) -> Case | None:
 
 
 def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[Switched, Array]:
-    """Return the step of a loop in each case, as maps of z = (states, noise that the step reads), and the initial z."""
+    """Compute for each case the linear map of z = (states, noise of the step). Also return initial values of z."""
     # The initial values are a column for each state of the plant, and one with those of all memories. Without
     # ``whole``, the loop is in innovations form.
     plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
@@ -313,7 +315,7 @@ class _Collected(Builder):
 
 
 class FixedStep(TimeStep):
-    """The time step of a loop for a fixed decision and fixed arrivals; refuses what is not linear."""
+    """Time step of a loop for given decisions and packet arrivals. Raises an error if a policy step is not linear."""
 
     def __init__(self, kind: str, case: Case, builder: Builder, *rest: Any) -> None:
         """Keep the decisions of the case, and the name of the policy kind for messages."""
@@ -321,10 +323,10 @@ class FixedStep(TimeStep):
         self._kind, self._case, self._option = kind, case, 0
 
     def draw_losses(self, policy: Policy, network: Network) -> None:
-        """Draw nothing: the case lists the links that drop packets."""
+        """Draw no random losses, because the case states which links drop their packets."""
 
     def take(self, step: Step) -> None:
-        """Refuse steps that are not linear, and take the option of the case."""
+        """Translate a policy step for the label of the case; raise an error if the policy step is not linear."""
         if isinstance(step, Evaluate | Apply | Draw):
             self._refuse(_beyond(step))
         if isinstance(step, Decide):
@@ -332,15 +334,15 @@ class FixedStep(TimeStep):
         super().take(step)
 
     def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
-        """Return the option of the case instead of the one that the trigger selects."""
+        """Return the label that the case states, instead of the one that the trigger would select."""
         return [i == self._option for i in range(len(values) - 1)]
 
     def arrives(self, link: str, sent: Truth) -> Truth:
-        """Return whether a packet is sent, on a link that does not drop it in this case."""
+        """Return whether a packet arrives: it is sent, and the case does not list its link as dropping packets."""
         return sent and link not in self._case.lost
 
     def form(self, form: Form) -> int:
-        """Refuse triggers that are not quadratic."""
+        """Translate a form of a trigger; raise an error if the form is not purely quadratic."""
         if form.bell is not None:
             self._refuse("triggers on the exponential of a quadratic form")
         if form.plus:
@@ -348,13 +350,13 @@ class FixedStep(TimeStep):
         return super().form(form)
 
     def number(self, value: float | Scheduled) -> Coefficient:
-        """Refuse constants that vary."""
+        """Return a number if it is constant; raise an error if it varies from step to step."""
         if isinstance(value, Scheduled):
             self._refuse(f"decides by the {value.by}")
         return super().number(value)
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
-        """Refuse matrices that vary."""
+        """Return the entries of a matrix if it is constant; raise an error if it varies from step to step."""
         if isinstance(matrix, Scheduled):
             if (matrix.values != matrix.values[0]).any():
                 self._refuse(f"has matrices that vary with the {matrix.by}")
@@ -362,7 +364,7 @@ class FixedStep(TimeStep):
         return super().coefficients(matrix)
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Refuse packets of the previous step."""
+        """Return the outcome of a condition in this case; raise an error if it depends on packets of earlier steps."""
         if not isinstance(condition, str) and condition.link not in self.arrived:
             self._refuse("uses a packet of the previous step")
         return super().happened(condition)
@@ -381,14 +383,18 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
 
 
 def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
-    """Raise an error if a loop is not a switched linear map, apart from the properties ``more``."""
+    """Raise an error if a loop cannot be written as a switched linear map. Properties in ``more`` are allowed
+    nevertheless.
+    """
     policy = loop.policy
     missing = [name for name in uncovered(CERTIFIED, loop.parts) if name not in more]
     functions = [step for step in policy.steps if isinstance(step, Apply)]
     constants = any(ONE in read(step) for step in policy.steps)
     links = [link for link in loop.network.links if loop.network.loss(link) > 0]
     known = {
-        f"limits of the intervals between sends ({', '.join(IDEAL_LINK.intervals)}) are given": INTERVALS,
+        f"limits of the intervals between sends ({', '.join(IDEAL_LINK.intervals)}) are given": INTERVALS
+        - {"Trigger.excluded"},
+        f"{policy.kind} chooses silence only at certain times": INTERVALS & {"Trigger.excluded"},
         "the plant is not linear": FUNCTION,
         "inputs are clipped (input_limit)": LIMIT & {"plant.input_limit"},
         "the changes of the inputs are limited (input_rate)": LIMIT & {"plant.input_rate"},
@@ -412,7 +418,9 @@ def _unserved() -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(Displayed):
-    """Jump linear map of a loop that sends at every step, over links that drop some packets."""
+    """Jump linear map of a loop that sends at every step over lossy links: one linear map for each set of dropped
+    packets.
+    """
 
     F: Array  # dynamics matrix of each outcome, (outcomes, r, r)
     G: Array  # input matrix of the noise, (r, q)
@@ -424,7 +432,7 @@ class Outcomes(Displayed):
     decides: bool  # whether the policy of the loop may skip a send
 
     def growth(self, power: int) -> float:
-        """Return the growth factor per step of the moments of order 2 or 4 in the long run; 0 if they are too many."""
+        """Compute the asymptotic growth factor per step of the moments of order 2 or 4; 0 if there are too many."""
         r, states = self.F.shape[1], len(self.turns)
         if r == 0 or (power == 4 and states * r**4 * len(self.F) > MOST_MOMENTS):
             return 0.0
@@ -438,13 +446,15 @@ class Outcomes(Displayed):
         return growth(lambda moments: self._moved(moments, power), start)
 
     def cost(self) -> float:
-        """Return the cost per step of the loop that sends every packet, by its second moments in the long run."""
+        """Compute the mean cost per step of the loop that sends every packet, from the stationary second moments of its
+        state.
+        """
         if self.F.shape[1] == 0:
             return self.constant
         if (growth := self.growth(2)) >= 1 - NEARLY:
             raise UnstableError(
-                f"with these losses, the mean square of the loop that sends every packet grows by a factor of "
-                f"{growth:.6g} per step; expected fewer losses"
+                "with these losses, the mean square of the state of the loop that sends every packet grows by a "
+                f"factor of {growth:.6g} per step; expected smaller loss probabilities"
             )
         added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
         moved = _scipy.fixed_point(lambda entries: self._moved(entries.reshape(added.shape), 2).ravel(), added.ravel())
@@ -452,8 +462,8 @@ class Outcomes(Displayed):
         missed = moments - self._moved(moments, 2) - added
         if not float(np.linalg.norm(missed)) <= SOLVED * float(np.linalg.norm(added)):
             raise UnstableError(
-                "the second moments of the loop that sends every packet cannot be computed reliably; expected fewer "
-                "losses, or a larger stability margin"
+                "the second moments of the loop that sends every packet cannot be computed reliably; expected "
+                "smaller loss probabilities, or a larger stability margin"
             )
         stage = np.tensordot(self.odds, self.M, 1)
         return self.constant + float(np.sum(stage * moments))
@@ -467,7 +477,7 @@ class Outcomes(Displayed):
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
-    """Return the jump linear map of a loop that sends every packet over lossy links, or None if it is no such map."""
+    """Compute the jump linear map of a loop that sends every packet over lossy links; return None for other loops."""
     loop = loop.deviations
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
@@ -524,13 +534,13 @@ def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]
 
 
 def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
-    """Return the links whose decisions depend on disturbances or set-points that wander, even if everything is sent."""
+    """Return the links whose decisions depend on drifting disturbances or set-points even if all packets are sent."""
     policy, needs = loop.policy, loop.problem.followed
     always = attempt_of(policy)
     if needs is None or always is None or not noise[np.ix_(needs.states, needs.states)].any():
         return ()
     try:
-        program = loop.whole_program(supplied=True, begin=partial(_Compared, policy.kind, always))
+        program = loop.whole_program(supplied=True, begin=partial(BoundedStep, policy.kind, always))
         states = len(program.states)
         nothing: dict[Name, Array] = {name: np.zeros(states + 1) for name in program.inputs}
         values = read_polynomials(program, states, nothing)
@@ -584,16 +594,18 @@ def _rows(form: Array) -> Array:
     return np.where(np.abs(rows) > RANK * np.abs(rows).max(initial=0.0), rows, 0.0)
 
 
-class _Compared(FixedStep):
-    """A fixed decision, of whose trigger only the quadratic terms count: memories and random numbers are bounded."""
+class BoundedStep(FixedStep):
+    """Time step of a loop for a fixed decision, with the quadratic terms of its trigger only. All other terms are
+    bounded.
+    """
 
     def take(self, step: Step) -> None:
-        """Take a memory of a quadratic form or a random number as zero."""
+        """Translate a policy step. Stored quadratic forms and random numbers are replaced by zero."""
         if isinstance(step, Evaluate | Draw):
             self.signals[step.signal] = [self.builder.constant(0.0)]
         else:
             super().take(step)
 
     def form(self, form: Form) -> int:
-        """Return the quadratic terms of a form."""
+        """Translate the quadratic terms of a trigger's form, and omit its other terms."""
         return super().form(Form(form.signals if form.Psi is not None else (), form.Psi, form.constant))

@@ -1,4 +1,4 @@
-"""Anti-windup: a policy for actuators with limits, whose filters and copies use the input that is applied.
+"""Anti-windup for actuators with limits: the filters and predictions of a policy use the input actually applied.
 
 A filter that uses the command instead of the input that a saturated actuator applies winds up: its estimate follows an
 input that the plant never received. For a plant with limits, the policy steps of a design change as follows:
@@ -34,7 +34,7 @@ COMPARED = ("error", "moved")  # differences of commands
 
 
 def within_limits(policy: Policy) -> Policy:
-    """Return a policy with anti-windup for the limits of its model; without limits, it is the same."""
+    """Add anti-windup to a policy whose plant has input limits. Return the policy unchanged if the plant has none."""
     limits = policy.model.saturation
     if limits is None:
         return policy
@@ -64,7 +64,7 @@ class _Limited:
         self._unlimited: dict[str, str] = {}  # by input, the signal of its value before the limits
 
     def policy(self) -> Policy:
-        """Return the policy with anti-windup."""
+        """Return the given policy with the policy steps for anti-windup added."""
         steps = tuple(found for step in self._policy.steps for found in self._steps(step))
         made = {name for step in steps for name in assigned(step)}
         added = [step for step in steps if isinstance(step, Apply) and step not in self._policy.steps]
@@ -154,8 +154,8 @@ class _Limited:
             if (limits.low > 0).any() or (limits.high < 0).any():
                 got = limit_entries(np.stack([limits.low, limits.high], axis=1))
                 raise ProblemError(
-                    f"the actuator of {self._policy.kind} applies 0 in silence, and input_limit is {got}; expected "
-                    "limits that contain 0, or an actuator that keeps its input"
+                    f"the actuator of the policy kind {self._policy.kind} applies 0 if no packet arrives, but "
+                    f"input_limit is {got}; expected limits that contain 0, or an actuator that holds its input"
                 )
             return True
         return len(terms) == 1 and all(name in self._rows and _is_unit(matrix) for name, matrix in terms.items())

@@ -1,4 +1,4 @@
-"""LQG as a base: control by the estimate of the state, over a link from the controller to the actuator.
+"""LQG control with every sample sent, relative to which policies are designed: the controller sends the input L x̂.
 
 In each step, the sensor measures. The controller, at the sensor's place, estimates the state, computes ``command`` =
 L x̂ and the ``candidate`` that the actuator applies if nothing is sent, and decides on their difference ``error``. The
@@ -56,13 +56,13 @@ AT_INSTANTS = "J and J_all at the sampling instants"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertaintyEquivalentDesign(Displayed):
-    """Common design data of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter."""
+    """Data for the design of policies that apply u = L x̂: the discrete-time problem, the regulator and the filter."""
 
     problem: Discrete  # the discrete-time problem
     regulator: Regulator  # cost-to-go K, gain L and weight H of the infinite-horizon regulator
     filter: Filter  # covariances and gain of the steady-state Kalman filter
     estimation: FilterSteps  # policy steps of the filter
-    cost_all_time: float  # cost of sending at every step, per step, without the inter-sample noise cost
+    cost_all_time: float  # cost of sending every sample, per step, without the inter-sample noise cost
     settling: float  # time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|)
     # γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an error e
     # of the input, in the norm of the inverse of H; 0 for other set-points
@@ -75,17 +75,21 @@ class CertaintyEquivalentDesign(Displayed):
 
     @cached_property
     def allowance(self) -> Allowance | None:
-        """The effect of the rounding of the gains on the cost of silence; None if it is not proved to be small."""
+        """By how much the rounding of the gains increases the cost of not sending; None if this is not proved to be
+        small.
+        """
         return self.allowance_of()
 
     def allowance_of(self, apart: Apart | None = None) -> Allowance | None:
-        """Return the allowance of an estimate that is a sum of contributions of sensors that filter apart."""
+        """Bound the effect of rounding the gains. With ``apart``, several sensors filter separately, and estimates are
+        added.
+        """
         if self.proved is None or self.loop is None or self.timed:
             return None
         return allowance(self.loop, self.regulator, self.filter, self.cost_all_time, apart)
 
     def raised(self, silence: float, allowed: Allowance | None) -> tuple[float, float]:
-        """Return J_all and a factor of the cost of silence in a bound, so that it holds for the gains as stored.
+        """Return J_all, and a factor for the cost of not sending, with which bounds allow for rounded gains.
 
         Without a proof, they are J_all as computed, and 1.
         """
@@ -94,22 +98,22 @@ class CertaintyEquivalentDesign(Displayed):
         return allowed.raised(self.proved.upper, silence)
 
     def relative(self, theta: float) -> float | None:
-        """Return a bound on the cost per step if silence adds at most θ/(1 + θ) of the stage cost; None if unproved."""
+        """Return a proven bound on J if not sending costs at most θ/(1 + θ) of the stage cost; None without a proof."""
         return None if self.proved is None or self.allowance is None else self.allowance.relative(self.proved, theta)
 
     @property
     def error(self) -> float | None:
-        """Proved bound on the error of ``cost_all_time`` in the user's units, or None."""
+        """Proven bound on the error of ``cost_all_time``, in the user's units; None if nothing is proved."""
         return None if self.proved is None else error_per_unit(self.problem, self.proved)
 
     @property
     def timed(self) -> bool:
-        """True if the set-points change at known times, so that neither identity nor closed form holds."""
+        """True if the set-points change at known times. Identities and closed forms of the cost then do not hold."""
         return self.pull > 0
 
     @property
     def recovery(self) -> float | None:
-        """Time constant of regulator and filter without disturbances that decay more slowly; None if there are none.
+        """Time constant of regulator and filter apart from slow disturbances; None if there are no slow disturbances.
 
         A fault of a node does not change the disturbances, which are states of the problem.
         """
@@ -122,33 +126,33 @@ class CertaintyEquivalentDesign(Displayed):
 
     @property
     def stability(self) -> str:
-        """Whether the mean square of the loop is bounded, as text: a state or an input without cost may wander."""
+        """Which part of the loop is mean-square stable, as text: states and inputs without cost may be unstable."""
         stable = radius(self.problem.plant.A + self.problem.plant.B @ self.regulator.L) < 1
         return "mean-square stable" if stable else "mean-square stable, except for states and inputs that cost nothing"
 
     @property
     def corrections(self) -> Array:
-        """Covariance of the corrections of the state estimate by measurements, prior minus posterior covariance."""
+        """Covariance of the filter's corrections by measurements: prior minus posterior error covariance."""
         return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
 
     @property
     def estimation_cost(self) -> float:
-        """Cost tr(QΣ) per step that the estimation error causes."""
+        """Cost per step, tr(QΣ), that the estimation error adds to the cost of control."""
         return float(np.trace(self.problem.Q @ self.filter.posterior))
 
     @cached_property
     def held(self) -> Held:
-        """Control problem in which the input is held between sends."""
+        """The optimal control problem in which the plant's input is held from one send to the next."""
         p = self.problem
         return Held(p.plant.A, p.plant.B, p.Q, p.R, p.N, self.corrections)
 
     @property
     def square(self) -> Array:
-        """Weight L'HL of the additional cost e'L'HLe if control uses a state that differs from the estimate by e."""
+        """Weight L'HL: a further error e of the state estimate increases the cost by e'L'HLe."""
         return self.regulator.L.T @ self.regulator.H @ self.regulator.L
 
     def reset(self, actuation: Actuation) -> Reset | None:
-        """Return the error x̃ − x̂ of the actuator's model if a send resets it to zero, or None otherwise.
+        """Return the model of the error x̃ − x̂ if each send resets this error to zero; otherwise return None.
 
         The error is driven by the corrections of the estimate, which are independent between steps if the state is
         measured or all noise is Gaussian.
@@ -159,19 +163,21 @@ class CertaintyEquivalentDesign(Displayed):
         return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
     def nominal(self, slower: float = 1.0) -> Nominal:
-        """Return the loop that sends every sample; a policy with its control may settle more slowly."""
+        """Return the loop that sends every sample, as a reference. ``slower`` multiplies its time constants."""
         recovery = None if self.recovery is None else slower * self.recovery
         settling, innovations = slower * self.settling, self.estimation.innovations
         return Nominal(self.problem, self.cost_all_time, settling, self.error, recovery, innovations)
 
     def completed_square(self) -> Identity:
-        """Return the cost identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)], where σ is 1 at a send."""
+        """Return the identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)] for the cost, where σ = 1 if a packet is
+        sent.
+        """
         problem = self.problem
         return completed_square(problem.per_unit(self.cost_all_time), self.regulator.H / problem.tick)
 
 
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
-    """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ))."""
+    """Design regulator and Kalman filter, and compute the average cost of LQG control that sends every sample."""
     expect_average(kind, problem.cost)
     return _design(problem)
 
@@ -207,7 +213,7 @@ def _design(problem: Discrete) -> CertaintyEquivalentDesign:
 
 
 def error_per_unit(problem: Discrete, proved: Proved) -> float:
-    """Return the proved error of a cost in the user's units, with the rounding of its conversion to them."""
+    """Convert the proven error bound of a cost to the user's units, and add the rounding error of this conversion."""
     return rounded_up(proved.radius / problem.unit) + OPERATIONS * abs(problem.per_unit(proved.value))
 
 
@@ -218,7 +224,8 @@ def expect_average(kind: str, cost: Cost) -> None:
         got = getattr(cost, name)
         if got != absent:
             raise ProblemError(
-                f"cost.{name} is {got:g}, which {kind} does not use; expected an average cost: remove this key"
+                f"cost.{name} is {got:g}, which the policy kind {kind} does not use; expected an average cost: remove "
+                "this key"
             )
 
 
@@ -226,8 +233,8 @@ def expect_constant_set_points(kind: str, plant: Plant) -> None:
     """Raise a ``ProblemError`` if the set-points of a plant change while the loop runs."""
     if plant.changes is not None:
         raise ProblemError(
-            f"the set-points change (reference.steps or file), which {kind} does not use; expected constant "
-            "set-points, or the kind excess or distributed"
+            f"the set-points change (reference.steps or reference.file), which the policy kind {kind} does not use; "
+            "expected constant set-points, or the policy kind 'excess' or 'distributed'"
         )
 
 
@@ -241,7 +248,9 @@ def control_steps(
     before: tuple[Step, ...] = (),
     after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
-    """Return the policy steps of filter, trigger and actuator, and the initial values of their memories."""
+    """Return the policy steps of filter, trigger and actuator, and the initial values of all signals that they
+    store.
+    """
     on, decide = (None, ()) if trigger is None else (SEND, (Decide("controller", SEND, trigger),))
     route = estimate_to_actuator(plant, L, actuation, on)
     deviates = trigger is not None and DEVIATION in trigger.reads
@@ -264,7 +273,7 @@ def certainty_policy(
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
-    """Return a policy whose controller is at the sensor's site and sends inputs over the actuator link."""
+    """Return the policy whose controller is at the sensor's site and sends the inputs over the link to the actuator."""
     problem, fixed_rates = certainty.problem, fixed_rates or {}
     if certainty.timed:
         if closed_form is not None and closed_form.cost != problem.per_unit(certainty.cost_all_time):
@@ -289,7 +298,7 @@ def certainty_policy(
 def steps_at_the_actuator(
     plant: Plant, estimation: FilterSteps, L: Matrix, network: Network = IDEAL
 ) -> tuple[Step, ...]:
-    """Return the policy steps of a controller at the site of all actuators, which needs no actuator link."""
+    """Return the policy steps of a controller at the same site as all actuators, which needs no link to them."""
     unit, applied = np.eye(plant.inputs), network.applications(plant.inputs)
     parts = [Assign(node, name, {"input": unit[[*rows]]}) for name, (node, rows) in applied.items() if name != "input"]
     return (
@@ -303,7 +312,7 @@ def steps_at_the_actuator(
 
 
 def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
-    """Return the cost identity J = constant + E[(1−σ)e'He] with e = û − Lx̂, where σ is 1 at a send.
+    """Return the identity J = constant + E[(1−σ)e'He] for the cost, where e = û − Lx̂, and σ = 1 if a packet is sent.
 
     A silent step costs exactly e'He, and a send costs 0.
     """
@@ -311,9 +320,9 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
 
 
 def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
-    """Return a step and an identity for the cost J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of gains other than L.
+    """Return the policy step that computes e = u − Lx̂, and the identity J = J_all + E[e'He] for the cost.
 
-    The policy step that computes u − Lx̂ is returned too.
+    The identity holds for any gain.
     """
     problem, regulator = certainty.problem, certainty.regulator
     step = Assign("controller", "excess", {HELD: np.eye(problem.plant.inputs), ESTIMATE: -regulator.L})
@@ -322,7 +331,7 @@ def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity
 
 
 def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
-    """Return the form (1+θ) e'He − θ·(stage cost in silence), by which a trigger limits the cost of silence.
+    """Return the form (1+θ) e'He − θ·(stage cost without a packet), by which a trigger limits the cost of not sending.
 
     It is at most θ tr(QΣ) whenever nothing is sent.
 

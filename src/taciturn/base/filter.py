@@ -1,4 +1,4 @@
-"""The filter as policy steps, at the node that decides, and the step counter of what changes from step to step.
+"""Policy steps of the filter at the node that decides, and the step counter that selects time-varying gains.
 
 The node estimates the state x̂_k = E[x_k | y_0, …, y_k] by a Kalman filter with the innovation ν and the gain g:
 
@@ -35,7 +35,7 @@ COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterSteps(Displayed):
-    """Policy steps that compute the estimate of the state from the measurement."""
+    """The policy steps that compute the state estimate from the measurements."""
 
     correct: tuple[Step, ...]  # policy steps before the control is computed
     predict: tuple[Step, ...]  # policy steps after the control is computed
@@ -46,7 +46,7 @@ class FilterSteps(Displayed):
 def estimate_state(
     plant: Plant, steady: Filter | None, at: str = "controller", gain: Matrix | None = None
 ) -> FilterSteps:
-    """Return the policy steps of a steady filter, or of one with the given gains."""
+    """Return the policy steps of the steady-state Kalman filter, or of a filter with other given gains."""
     if plant.full_state:
         measured = Assign(at, ESTIMATE, {"y": np.eye(plant.states)})
         return FilterSteps((measured,), (), {}, None)
@@ -64,21 +64,22 @@ def estimate_state(
 
 
 def outputs_of(plant: Plant, at: str = "controller") -> dict[str, Array]:
-    """Return the outputs of a plant as a sum of the measurement and of the set-points that the controller is given."""
+    """Return the plant's outputs as a sum of signals: the measurement, and the set-points that the controller reads."""
     unit, p = np.eye(plant.outputs), plant.sensed
     if p == plant.outputs:
         return {"y": unit}
     if at != "controller":
         raise ProblemError(
-            f"the set-points change (reference.steps or file), but the {at} runs the filter, and only the controller "
-            "is given the set-points; expected a policy whose filter is at the controller, or constant set-points"
+            f"the set-points change (reference.steps or reference.file), but the node {at} runs the filter, and only "
+            "the controller receives the set-points; expected a policy whose filter is at the controller, or constant "
+            "set-points"
         )
     return {"y": unit[:, :p], REFERENCE: unit[:, p:]}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Transient(Displayed):
-    """The Kalman filter from the initial state on."""
+    """The time-varying Kalman filter that starts with the mean and covariance of the initial state."""
 
     gains: Array  # gains of the innovations, (steps, n, p)
     innovation: Array  # covariances of the innovations, (steps, p, p)
@@ -87,7 +88,9 @@ class Transient(Displayed):
 
 
 def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
-    """Return the Kalman filter over a horizon, or until its gains repeat or later steps do not count any more."""
+    """Compute the time-varying Kalman filter: over the horizon, or until its gains repeat or later weights are
+    negligible.
+    """
     prior, start = follow_every_query(plant, plant.covariance, cost.horizon, cost.discount)
     gains = Predictor(plant).correction(prior)
     left = np.eye(plant.states) - gains @ plant.C
@@ -96,20 +99,22 @@ def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:
-    """Return a step counter 0, 1, …, ``ticks`` − 1 that then continues at ``start``, or stops if ``start`` is None."""
+    """Return a step counter 0, 1, …, ``ticks`` − 1. It then continues at ``start`` or, if that is None, stops."""
     table = np.arange(1, ticks + 1)
     table[-1] = ticks - 1 if start is None else start
     return Location(CLOCK, table)
 
 
 def by_clock(values: Array) -> Matrix:
-    """Return a constant matrix unchanged, or a table with one matrix for each step of the step counter."""
+    """Return one matrix unchanged. Return several matrices as a table from which the step counter selects one."""
     return values if values.ndim == 2 else Scheduled(CLOCK, values)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StepCounter(Displayed):
-    """The step counter of a policy: the phase of its base, and the gains of a filter that starts with the run."""
+    """Step counter of a policy. It selects the gains of a time-varying filter, and the steps at which the base loop
+    sends.
+    """
 
     pattern: tuple[bool, ...]  # whether the base attempts in each step of its cycle, or of the horizon
     phases: tuple[int, ...]  # step of the pattern in each state of the counter
@@ -118,7 +123,7 @@ class StepCounter(Displayed):
 
     @staticmethod
     def of(problem: Discrete, every: int) -> StepCounter:
-        """Return the step counter for a cost, and a base that attempts at every q-th step."""
+        """Return the step counter for a problem whose base loop sends at every ``every``-th step."""
         cost, plant = problem.cost, problem.plant
         pattern = tuple(k == 0 for k in range(every))
         if not cost.mission:
@@ -134,16 +139,18 @@ class StepCounter(Displayed):
 
     @property
     def locations(self) -> tuple[Location, ...]:
-        """The step counter, if anything depends on it."""
+        """The step counter as a discrete state of the policy; empty if nothing in the policy depends on the step."""
         return (count_ticks(len(self.phases), self.repeats),) if len(self.phases) > 1 or self.repeats is None else ()
 
     @property
     def gains(self) -> Matrix | None:
-        """Gains of the filter, or None for those of the steady-state filter."""
+        """Gains of the time-varying filter; None if the policy uses the filter in steady state."""
         return None if self.filter is None else by_clock(self._table(self.filter.gains))
 
     def innovation(self, steady: Filter) -> Matrix:
-        """Return the covariance of the innovations."""
+        """Return the covariance of the innovations: of the time-varying filter or, without one, of the filter
+        ``steady``.
+        """
         return steady.innovation if self.filter is None else by_clock(self._table(self.filter.innovation))
 
     def _table(self, values: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Gains and costs-to-go of LQG where they are not those of an average with every sample.
+"""LQG gains and costs-to-go for a finite horizon, for a discounted cost, or for links that drop packets.
 
 **Totals.** For a finite horizon of N steps or a cost with the discount α, gain L, cost-to-go K and the weight
 H = R + αB'KB of an input error depend on the step, or not (``price_control``). With the covariances Σ_k of the
@@ -41,7 +41,9 @@ SETTLED = 1e-12  # change of a gain relative to the gain
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prices(Displayed):
-    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon."""
+    """Optimal gains L, costs-to-go K and weights H of input errors: constant, or one of each per step of the
+    horizon.
+    """
 
     problem: Discrete  # the discrete-time problem
     K: Array  # matrix of the cost-to-go, (n, n), or (N + 1, n, n)
@@ -51,20 +53,24 @@ class Prices(Displayed):
 
     @property
     def P(self) -> Array:
-        """Weight L'HL of the estimation error in the cost, (n, n), or for each step, (N, n, n)."""
+        """Weight L'HL of the estimation error in the cost, (n, n); for a horizon of N steps, one per step, (N,
+        n, n).
+        """
         return np.swapaxes(self.L, -1, -2) @ self.H @ self.L
 
     @property
     def average(self) -> bool:
-        """Whether the cost is a long-run average, and not a finite-horizon or discounted total."""
+        """True if the cost is a long-run average, and False if it is a total over a horizon or a discounted sum."""
         return not self.problem.cost.mission
 
     def square(self) -> Matrix:
-        """Return the weight H of the completed square in the user's units of the cost."""
+        """Return the weight H of an error of the input, in the user's units of the cost."""
         return by_clock(self.H / self.problem.unit)
 
     def total(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, otherwise in total."""
+        """Return the cost of applying the input Lx̂ at every step: per step if the cost is an average, otherwise in
+        total.
+        """
         cost = self._summed(self.K, self.P, covariance, start)
         A, alpha = self.problem.plant.A, self.problem.cost.discount
         refuse_uncertain(
@@ -90,7 +96,7 @@ class Prices(Displayed):
 
 
 def price_control(problem: Discrete) -> Prices:
-    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem."""
+    """Compute the optimal gains, the costs-to-go and the weights of input errors of a discrete-time problem."""
     plant, cost = problem.plant, problem.cost
     if cost.horizon is None:
         best = problem.regulator()
@@ -101,7 +107,7 @@ def price_control(problem: Discrete) -> Prices:
 
 
 def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "loss") -> Array:
-    """Return the gain L that minimises the cost of an attempt in every step, (m, n)."""
+    """Compute the gain L, (m, n), with the least cost if a packet is sent at every step over a link that drops some."""
     plant = problem.plant
     n, m = plant.B.shape
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
@@ -114,8 +120,8 @@ def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "los
             middle = (low + high) / 2
             low, high = (middle, high) if _iterated(base, middle, problem.cost.discount) is not None else (low, middle)
         raise UnstableError(
-            f"{key} is {loss:.4g} on average, and the mean square of the loop grows for every gain; expected a loss "
-            f"below {low:.3g}"
+            f"{key} gives an average loss probability of {loss:.4g}, so the mean square of the state grows without "
+            f"limit for every gain; expected a loss probability below {low:.3g}"
         )
     attempts = Attempts(losses=np.full(1, loss), discount=problem.cost.discount)
     for _ in range(IMPROVEMENTS):

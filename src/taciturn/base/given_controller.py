@@ -1,4 +1,4 @@
-"""Controllers that a user has, together with their plant: disturbance, point of rest, start and periodic comparison.
+"""Loops of a plant with a user's controller: slow disturbances, equilibrium, start, and periodic control to compare.
 
 ``GivenLoop`` is the loop of such a controller at the step of the policy, for the deviations from its point of rest.
 
@@ -24,7 +24,7 @@ of all outputs and inputs count equally.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,34 +32,41 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import radius
+from taciturn._modes import balancing, radius
+from taciturn._rational import Limit, unmoved_and_seen
 from taciturn.base.certainty import design_certainty, error_per_unit
 from taciturn.base.filter import HELD
 from taciturn.base.gains import price_control
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import actuator_base
-from taciturn.base.value import Attempts, Base, advantage, least_value
+from taciturn.base.value import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, least_value, seen_part
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
 from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.lqg.stored import Proved
-from taciturn.model.controller import AnyController, ContinuousController, Controller, relative_to
+from taciturn.model.controller import (
+    AnyController,
+    ContinuousController,
+    Controller,
+    following,
+    pids_of,
+    relative_to,
+)
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Disturbance, padded
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, about
+from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Step, assigned
 from taciturn.model.theory import Innovations
 
 MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
 LASTING = 1e-9  # a mode whose modulus is 1 up to this does not decay
-REMEDY = (
-    "check the sign of the controller (feedback is u = −K y), its gains, its step, and that no two integrals have the "
-    "same output"
-)
+REMEDY = "check the sign of the controller (feedback is u = −K y), its gains, and its step"
+REACHED = "set-points that change also need a controller that integrates, unless the plant does"
 CONSTANT = (
     "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
     "more than computed"
@@ -67,7 +74,9 @@ CONSTANT = (
 
 
 def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: float | None = None) -> Cost:
-    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample."""
+    """Return the cost that weights each output and input by the inverse of its variance in the loop with every sample
+    sent.
+    """
     usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
     problem, controller, _ = disturbed(plant, usual, period, kept)
     base = actuator_base(problem, controller)
@@ -87,8 +96,9 @@ def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: flo
                 )
             if variance <= 0:
                 raise ProblemError(
-                    f"{name.partition('_')[0]} {number} has no variance in the loop with every sample; expected noise "
-                    "that moves it, or output_variance and input_variance in place of weights"
+                    f"the {name.partition('_')[0]} with the number {number} is constant in the loop that sends every "
+                    "sample, so its weight cannot be computed; expected noise that affects it, or output_variance and "
+                    "input_variance in place of weights"
                 )
             found[name].append(variance)
     return Cost.of_variances(plant.C, **found, D=plant.D)
@@ -97,10 +107,14 @@ def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: flo
 def disturbed(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: AnyController
 ) -> tuple[Discrete, Controller, Disturbance | None]:
-    """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""
+    """Discretise a problem and a controller; the plant gets the slow disturbance that the controller compensates."""
     problem = discretise(plant, cost, period)
-    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
+    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.sensed)
     SIMULATED.check(controller)
+    if not cost.mission:  # over a finite horizon, no mode has to decay
+        _expect_moved(controller)
+    if plant.exosystem is not None:
+        controller = following(kept, controller, _followed(plant, controller))
     disturbance = controller.expected
     if disturbance is not None:
         disturbance = disturbance.completed(plant, period)
@@ -108,18 +122,68 @@ def disturbed(
     return problem, controller, disturbance
 
 
+def _expect_moved(controller: Controller) -> None:
+    """Reject a controller whose command contains a mode that neither outputs nor inputs move and that never decays."""
+    c = controller
+    lasting = unmoved_and_seen(
+        c.A, np.hstack([c.B, c.E]), c.C, Limit(False)
+    ).lasting  # exact: no rounding decides a mode at 1
+    if lasting.size:
+        raise UnstableError(
+            f"the controller has the mode {Limit(False).named(complex(lasting[0]))}, which its command contains and no "
+            "measurement moves, so the loop is not stable: with two integrals of one output, this is their difference; "
+            "expected that no two integrals have the same output"
+        )
+
+
+def _has_set_point(kept: AnyController) -> bool:
+    """Return whether a controller states a set-point of its own."""
+    if isinstance(kept, Controller | ContinuousController):
+        return kept.setpoint is not None and bool(np.any(kept.setpoint))
+    return any(one.setpoint for one in pids_of(kept))
+
+
+def _followed(plant: Plant | ContinuousPlant, controller: Controller) -> list[int]:
+    """Return the measured output that each set-point is for, where a given controller follows set-points."""
+    own = plant.exosystem
+    assert own is not None
+    if own.changes is None or len(own.S) > len(own.outputs) or own.E.any() or own.G.any():
+        raise ProblemError(
+            "the plant has disturbances, or set-points that never change, which a given controller does not use; "
+            "expected the keys 'disturbance' and 'setpoint' of the controller, or set-points that change "
+            "(reference.steps or reference.file)"
+        )
+    if plant.D is not None:
+        raise ProblemError(
+            "plant.D is given, and the set-points change, but a given controller compares set-points with "
+            "measurements, which depend on the input of the previous step through D; expected no D, or LQG with "
+            "guarantee = 'every path'"
+        )
+    rows = list[int]()
+    for place, wanted in enumerate(own.outputs):
+        same = [i for i, row in enumerate(plant.C) if np.array_equal(row, wanted)]
+        if not same:
+            raise ProblemError(
+                f"row {place + 1} of reference.outputs is not a measured output, but a given controller compares its "
+                "set-points with measured outputs; expected rows of plant.C"
+            )
+        rows.append(same[0])
+    return rows
+
+
 def lqg_observer(
     kind: str, problem: Discrete, every: int = 1, L: Array | None = None, zero: bool = False
 ) -> Controller:
-    """Return LQG control as a controller, whose observer uses the input that was applied.
+    """Return LQG control as a linear controller in state space. Its observer uses the input that is actually applied.
 
     Its gain is L, or by default optimal for a packet at every q-th step, and an input that is held or ``zero`` between.
     """
     if problem.cost.horizon is not None:
         raise ProblemError(
-            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; {kind} supports this only "
-            "over an actuator link that drops no packets (no loss, no burst), with actuation 'hold' or 'model', "
-            "every = 1, and gains and retry omitted; expected this, an average or discounted cost, or a controller"
+            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; the policy kind {kind} "
+            "supports this only over an actuator link that drops no packets (no loss, no burst), with actuation "
+            "'hold' or 'model', every = 1, and without the parameters 'gains' and 'retry'; expected these settings, "
+            "an average or discounted cost, or a given controller"
         )
     plant = problem.plant
     if L is not None:
@@ -138,7 +202,7 @@ def lqg_observer(
 
 
 def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
-    """Return feedback of the filtered estimate as a controller, whose filter uses the input that was applied."""
+    """Return the feedback u = L x̂ as a linear controller in state space, whose filter uses the applied input."""
     n, m = plant.B.shape
     none = Disturbance(deviation=0.0)
     if plant.full_state:
@@ -148,11 +212,11 @@ def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
 
 
 def remedy_of(problem: Discrete, controller: Controller) -> str:
-    """Return the remedy if a loop of a given controller is unstable: the other sign, if this loop is stable."""
+    """Suggest how to stabilise the unstable loop of a given controller: by the opposite sign, if this stabilises it."""
     c = controller
     base = actuator_base(problem, Controller(c.A, c.B, -c.C, -c.D, c.E, c.dt))
-    if radius(base.Phi + base.Gamma @ base.K) >= 1:
-        return REMEDY
+    if radius(base.Phi + base.Gamma @ base.K) >= 1 - LASTING:  # set-points that change last, up to rounding
+        return REMEDY if problem.plant.changes is None or c.integrates else f"{REMEDY}; {REACHED}"
     return (
         "with the other sign of the controller the loop is stable, so change the key controller.sign, the sign of each "
         "gain, or those of C and D (negative feedback is u = −K y)"
@@ -160,14 +224,15 @@ def remedy_of(problem: Discrete, controller: Controller) -> str:
 
 
 def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:
-    """Return the time constant in steps of a base without the slow disturbance of its plant, or None without one.
+    """Return the time constant of a loop apart from its slow disturbance, in steps; None without a slow disturbance.
 
     ``slowest`` is the modulus of the slowest mode of the filter. A mode that does not decay does not count: the value
     of the base exists, so neither its cost nor its controller sees this mode, such as an integral that only counts.
     """
     if disturbance is None:
         return None
-    modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), (plant.stated, plant.inputs)
+    modes = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K))
+    n, m = (plant.alone or plant).stated, plant.inputs
     # nothing moves the disturbances, so the loop has their decay per step as modes, up to rounding
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
     rest = np.delete(modes, slow)
@@ -175,7 +240,7 @@ def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest:
 
 
 def note_disturbance(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:
-    """Return a note on the slow disturbance of the plant."""
+    """Return a note that describes the slow disturbance or, if a controller with an integrator has none, says so."""
     if disturbance is None:
         return (CONSTANT,) if controller.integrates else ()
     stated = controller.disturbance or Disturbance()
@@ -185,7 +250,7 @@ def note_disturbance(controller: Controller, disturbance: Disturbance | None) ->
 
 
 def note_ringing(kept: AnyController, step: float) -> tuple[str, ...]:
-    """Return a note on a mode of a continuous controller that the trapezoidal rule makes alternate."""
+    """Return a note if discretisation makes a fast mode of a continuous controller alternate from step to step."""
     found = kept.ringing(step) if isinstance(kept, ContinuousController) else None
     if found is None:
         return ()
@@ -199,7 +264,7 @@ def note_ringing(kept: AnyController, step: float) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GivenLoop(Displayed):
-    """A given controller and its plant in deviations from the point at which they rest."""
+    """The loop of a plant and a given controller, with all signals as deviations from the equilibrium of the loop."""
 
     kept: AnyController  # the controller as stated, its set-points relative to the operating point of the plant
     controller: Controller  # the controller at the step
@@ -210,10 +275,18 @@ class GivenLoop(Displayed):
 
     @staticmethod
     def of(
-        plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: AnyController, lqg: bool = False
+        plant: Plant | ContinuousPlant,
+        cost: Cost,
+        period: float | None,
+        kept: AnyController,
+        lqg: bool = False,
+        follows: bool = False,
     ) -> GivenLoop:
-        """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
-        if plant.exosystem is not None:
+        """Return the loop of a given controller. The plant gets the disturbance that the controller compensates.
+
+        ``follows`` states whether the design gives the controller set-points that change.
+        """
+        if plant.exosystem is not None and not follows:
             ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
             who, expected = (
                 ("LQG with these options", f"the kind excess with {ideal}")
@@ -223,6 +296,8 @@ class GivenLoop(Displayed):
             raise ProblemError(
                 f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
             )
+        if plant.exosystem is not None and _has_set_point(kept):
+            raise ProblemError("controller.setpoint and [reference] are both given; expected only one of them")
         kept = relative_to(kept, plant)
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = rest_of(problem, controller)
@@ -232,30 +307,67 @@ class GivenLoop(Displayed):
 
     @cached_property
     def remedy(self) -> str:
-        """The remedy if the loop is unstable."""
+        """The remedy that the error message for an unstable loop suggests."""
         return MORE_PACKETS if self.lqg else remedy_of(self.problem, self.controller)
 
     def every_sample(self) -> Base:
-        """Return the loop that sends every sample."""
+        """Return the base loop that sends every sample; raise an error if this loop is unstable."""
         base = actuator_base(self.problem, self.controller)
         advantage(base, self.remedy)
         return base
 
+    def value(self, base: Base) -> tuple[Advantage, float]:
+        """Compute the value function of a base loop that sends every sample, and its cost per step or in total."""
+        found = advantage(
+            base, self.remedy, attempts_of(self.problem, base, (True,) * (self.problem.cost.horizon or 1))
+        )
+        return found, cost_of_base(self.problem, found, self.point.start) + self._overlap(base, found.P)
+
+    def _overlap(self, base: Base, P: Array) -> float:
+        """Return the cost per step by which set-points that change at known times exceed independent changes."""
+        # a change comes before the response to earlier ones has ended: changes m and m' after it cost 2 m'P F^k m more
+        plant, closed = self.problem.plant, base.replaced[:, : len(base.Phi)]
+        if not isinstance(plant.changes, SampledChanges):
+            return 0.0
+        (n, p), table = (plant.states, plant.outputs), plant.changes.table
+        which = slice(n - table.shape[1], n)
+        moves, F = np.zeros((len(table), len(base.Phi))), base.Phi + base.Gamma @ base.K
+        moves[:, which], moves[:, -p:] = table, table @ plant.C[:, which].T
+        unit = balancing(F)
+        F, M = F / unit[:, None] * unit, closed.T @ base.stage @ closed * unit * unit[:, None]
+        seen = seen_part(F, M)  # the set-points themselves last, and the cost does not see them
+        F, moves, P = (
+            seen.T @ F @ seen,
+            moves / unit @ seen,
+            seen.T @ (P[: len(F), : len(F)] * np.outer(unit, unit)) @ seen,
+        )
+        begun, power, cost = np.zeros(len(F)), np.eye(len(F)), 0.0
+        for move in moves:
+            begun, power = F @ begun + move, F @ power
+        state = np.linalg.solve(np.eye(len(F)) - power, begun)  # at the end of each cycle
+        for move in moves:
+            state = F @ state
+            cost += 2 * float(move @ P @ state)
+            state = state + move
+        return cost / len(table)
+
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the slow disturbance, and on modes of the controller that are too fast for the step."""
+        """Notes on the slow disturbance, and on modes of the controller that are too fast for the sampling period."""
         return note_disturbance(self.controller, self.disturbance) + note_ringing(self.kept, self.problem.tick)
 
     @cached_property
     def cost_lqg(self) -> float | None:
-        """The cost of LQG with the same weights and every sample, or None if LQG does not exist for these weights."""
+        """Cost of LQG control with the same weights and every sample sent; None if this LQG problem has no solution."""
         try:
             return self.problem.per_unit(design_certainty("LQG", self.problem).cost_all_time)
         except TaciturnError:  # LQG needs more of the weights than a given controller
             return None
 
     def beside_lqg(self, all_time: float) -> list[str]:
-        """Return a remark on the cost of LQG, given that of the controller per step, both with every sample."""
+        """Return a note that compares the costs per step of this controller and of LQG control, both with every sample
+        sent.
+        """
         if self.cost_lqg is None or self.lqg:
             return []
         cost, noise = self.problem.per_unit(all_time), self.problem.per_unit(0.0)
@@ -274,7 +386,7 @@ class GivenLoop(Displayed):
         slowest: float = 0.0,
         innovations: Innovations | None = None,
     ) -> Nominal:
-        """Return the loop that sends every sample; a base that is linear gives its time constant without disturbances.
+        """Return the loop that sends every sample as a reference. ``base`` determines its time constant.
 
         ``slowest`` is the modulus of the slowest mode of the filter.
         """
@@ -290,12 +402,50 @@ class GivenLoop(Displayed):
         )
 
 
+def attempts_of(
+    problem: Discrete,
+    base: Base,
+    pattern: tuple[bool, ...],
+    chain: tuple[Array, Array] | None = None,
+    key: str = "loss",
+) -> Attempts:
+    """Return the steps at which a base loop attempts to send, with the link's losses and the weight of the
+    final state.
+    """
+    turns, losses = (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses) if chain is None else chain
+    cost, terminal = problem.cost, None
+    if cost.terminal is not None:
+        terminal = np.pad(cost.terminal, (0, len(base.Phi) - len(cost.terminal)))
+    return Attempts(pattern, turns, losses, cost.discount, terminal, key)
+
+
+def cost_of_base(problem: Discrete, found: Advantage, start: Array, begun: Array | None = None) -> float:
+    """Return the cost of a base loop: per step or, for a total cost, the expected total from the first step on.
+
+    There z contains the random state of the plant, the state ``start`` of the controller, and the first measurement; h
+    is the value ``begun`` with which the receiver starts, 0 by default. All are a mean plus what x − E x and the noise
+    v add.
+    """
+    if not problem.cost.mission:
+        return found.cost
+    plant = problem.plant
+    known = np.concatenate([plant.mean, start, plant.C @ plant.mean])
+    begun = np.zeros(len(found.P) - len(known)) if begun is None else begun
+    mean = np.concatenate([known, begun])
+    state, noise = np.zeros((len(mean), plant.states)), np.zeros((len(mean), plant.outputs))
+    place = plant.states + len(start)
+    measured = slice(place, place + plant.outputs)
+    state[: plant.states], state[measured], noise[measured] = np.eye(plant.states), plant.C, np.eye(plant.outputs)
+    moment = np.outer(mean, mean) + state @ plant.covariance @ state.T + noise @ plant.V @ noise.T
+    return found.cost + float(np.sum(found.P * moment))
+
+
 UNSTABLE = "expected fewer steps between packets"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SameControl(Displayed):
-    """Function of the steps between packets that returns the exact cost per step, without inter-sample noise cost."""
+    """Function that computes the cost per step of one controller from the number of steps between its packets."""
 
     problem: Discrete  # the discrete-time problem
     kept: AnyController  # the controller, which may depend on the step
@@ -305,18 +455,22 @@ class SameControl(Displayed):
         """Return the cost."""
         found = [cost for cost in (self.at_its_step(steps), self.discretised(steps)) if cost is not None]
         if not found:
-            raise UnstableError(f"the controller is unstable with a packet every {steps} steps; {UNSTABLE}")
+            raise UnstableError(
+                f"the controller does not stabilise the plant if only one packet is sent in {steps} steps; {UNSTABLE}"
+            )
         return min(found)
 
     def at_its_step(self, steps: int) -> float | None:
-        """Return the cost of the controller that computes at every step; None if the loop is unstable."""
+        """Return the cost if the controller still computes at every step, between packets too; None for an unstable
+        loop.
+        """
         try:
             return advantage(self.base, UNSTABLE, Attempts(tuple(k == 0 for k in range(steps)))).cost
         except UnstableError:
             return None
 
     def discretised(self, steps: int) -> float | None:
-        """Return the cost of the controller at its discretisation for several steps; None if there is none."""
+        """Return the cost if the controller is discretised with the longer interval; None if that is impossible."""
         problem, plant = self.problem, self.problem.plant
         if isinstance(self.kept, Controller) or steps == 1:
             return None
@@ -336,7 +490,7 @@ RESTS = 1e-9  # relative residual of an equation of the point
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rest(Displayed):
-    """The point at which the loop of a controller rests, and its start, relative to the plant's own operating point."""
+    """The equilibrium of a loop with a given controller, and the loop's initial deviation from this equilibrium."""
 
     state: Array  # state x* of the plant, (n,)
     input: Array  # input u*, (m,)
@@ -345,11 +499,11 @@ class Rest(Displayed):
 
     @property
     def moved(self) -> bool:
-        """True if state or input differ from zero at the point, or the controller does not start at rest."""
+        """True if the equilibrium is not the operating point, or if the controller does not start in equilibrium."""
         return any(one.any() for one in (self.state, self.input, self.start, self.before))
 
     def deviations(self, problem: Discrete) -> Discrete:
-        """Return the problem of the deviations from the point."""
+        """Express a discrete-time problem in deviations of its state and input from the equilibrium."""
         plant = problem.plant
         if self.state.any() or self.input.any():
             here = plant.operating_point
@@ -359,22 +513,35 @@ class Rest(Displayed):
             plant = with_inputs_before(plant, registers_from(problem), self.before)
         return replace(problem, plant=plant)
 
-    def begun(self, steps: tuple[Step, ...], initial: Mapping[str, Array]) -> dict[str, Array]:
-        """Return initial values in which the memories of the input have the input before the start."""
-        signals = {name for step in steps for name in assigned(step)} if self.before.any() else set[str]()
-        names = [name for name in ("command", HELD, "input") if name in signals]  # fingerprints contain their order
-        return {**dict.fromkeys(names, self.before), **initial}
+    def begun(
+        self, steps: tuple[Step, ...], initial: Mapping[str, Array], applied: Mapping[str, Sequence[int]] | None = None
+    ) -> dict[str, Array]:
+        """Return the initial values of all signals. The stored inputs begin with the input that was applied before the
+        start.
+
+        ``applied`` are the inputs of each actuator, if there are several; the signals then have the names of these.
+        """
+        if not self.before.any():
+            return dict(initial)
+        signals, found = {name for step in steps for name in assigned(step)}, dict[str, Array]()
+        suffixes = {"": range(len(self.before))} | {f"_{node}": rows for node, rows in (applied or {}).items()}
+        for suffix, rows in suffixes.items():  # fingerprints contain their order
+            found |= {
+                f"{name}{suffix}": self.before[[*rows]]
+                for name in ("command", HELD, "input")
+                if f"{name}{suffix}" in signals
+            }
+        return {**found, **initial}
 
 
 def rest_of(problem: Discrete, controller: Controller) -> Rest:
-    """Return the point at which a loop rests."""
+    """Compute the equilibrium of the closed loop of a plant and a controller."""
     plant, r = problem.plant, controller.setpoint
     (n, m), p = plant.B.shape, plant.outputs
     state, steady, rest = np.zeros(n), np.zeros(m), np.zeros(len(controller.A))
     if problem.cost.mission and (r.any() or controller.start_input is not None):
         raise ProblemError(
-            "a set-point or start_input is given, and the cost is a total over a horizon or with a discount; expected "
-            "an average cost"
+            "a set-point or start_input is given, but the cost has a horizon or a discount; expected an average cost"
         )
     if r.any():
         seen = np.hstack([plant.C, np.zeros((p, m))]), -r[:, None]
@@ -406,7 +573,7 @@ def _expect_within_limits(plant: Plant, start_input: Array) -> None:
     units = np.zeros(len(start_input)) if point is None else point.u
     raise ProblemError(
         f"start_input is {(start_input + units).tolist()}, beyond the input_limit {(limit + units[:, None]).tolist()}; "
-        "expected an input within the limits, as the plant had it before the start"
+        "expected an input within the limits: give the input that the plant had before the start"
     )
 
 
@@ -418,7 +585,10 @@ def _bumpless(c: Controller, error: Array, command: Array) -> Array:
     integrals = rows[sizes < 1e-9].T
     state = state + integrals @ np.linalg.pinv(c.C @ integrals) @ (command - c.C @ state - c.D @ error)
     if np.abs(c.C @ state + c.D @ error - command).max() > RESTS * max(1.0, float(np.abs(command).max())):
-        raise ProblemError("start_input is given, and not every input has an integral; expected an integral for each")
+        raise ProblemError(
+            "start_input is given, but the controller has no integral action for some inputs; expected integral "
+            "action for every input"
+        )
     return state
 
 
@@ -427,6 +597,8 @@ def _resting(A: Array, B: Array, push: Array, wanted: tuple[Array, Array], what:
     equations = Resting.of(A, B, np.eye(1), push[:, None], wanted)
     found = equations.smallest()
     if equations.missed(found) > RESTS * np.abs(equations.right).max(initial=0.0):
-        raise ProblemError(f"{what}; expected a set-point that the loop holds, or none")
+        raise ProblemError(
+            f"no equilibrium of the loop was found: {what}; expected a set-point with an equilibrium, or no set-point"
+        )
     state, steady = equations.split(found)
     return state[:, 0], steady[:, 0]

@@ -1,4 +1,4 @@
-"""The loop that sends every sample, as what a policy is compared with: its cost, and how fast it settles.
+"""The loop that sends every sample: its cost and its settling time. Policies are compared with this loop.
 
 Every design computes such a loop first. Its policy keeps the plant, the cost and the control of the loop, but sends
 less. ``Nominal.policy`` adds to the claims of the design (guarantee, identity, closed form, reset) what the loop fixes:
@@ -26,7 +26,7 @@ from taciturn.model.theory import Innovations, Theory
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Nominal(Displayed):
-    """A loop that sends every sample, or every q-th one."""
+    """A loop that sends every sample, or every q-th sample, with which a policy is compared."""
 
     problem: Discrete  # the discrete-time problem
     cost: float  # its cost without that of the noise between samples: per step, or in total
@@ -49,7 +49,7 @@ class Nominal(Displayed):
         schedule: Schedule | None = None,
         notes: tuple[str, ...] = (),
     ) -> Policy:
-        """Return a policy with the claims of its design, which respects the limits of the inputs."""
+        """Make a policy from its steps and its theory, and add the costs of this loop and the plant's input limits."""
         problem = self.problem
         theory = replace(
             claims,

@@ -1,4 +1,4 @@
-"""Routes: the policy steps of the link over which a base sends, and the base of a given controller on each link.
+"""Routes: the policy steps of the link over which a base loop sends, and the base loop of a given controller.
 
 A route goes from the controller to the actuator, or from the sensor to the controller.
 
@@ -36,7 +36,7 @@ Actuation: TypeAlias = Literal["hold", "model", "zero"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Route(Displayed):
-    """The policy steps of one link: the choice of the node that decides, its packet, and the value of the receiver."""
+    """The policy steps of one link: the value to send, the packet, and the value that the receiver uses."""
 
     node: str  # the node that decides
     choice: tuple[Step, ...]  # policy steps that compute choice and candidate
@@ -49,7 +49,9 @@ class Route(Displayed):
     def steps(
         self, decide: tuple[Step, ...], after: tuple[Step, ...] = (), *, deviates: bool = False
     ) -> tuple[Step, ...]:
-        """Return the policy steps with those that decide on ``error``, and those that follow the packet."""
+        """Return all policy steps of the link: before, for and after the decision whether to send, which depends on
+        ``error``.
+        """
         return (
             *self.choice,
             Assign(self.node, "error", self.error),
@@ -63,7 +65,7 @@ class Route(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GivenRoute(Route):
-    """The policy steps of a given controller, and its base."""
+    """The policy steps of one link of a given controller, and the base loop that sends every sample over this link."""
 
     base: Base = field(kw_only=True)  # the loop that sends every sample
     sites: tuple[frozenset[str], ...] = field(kw_only=True)  # groups of nodes at the same site
@@ -73,12 +75,12 @@ class GivenRoute(Route):
 
     @property
     def state(self) -> tuple[str, ...]:
-        """The signals of z: the state of the plant, that of the controller, and the measurement."""
+        """Names of the signals that form the base loop's state z: plant state, controller state and measurement."""
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
 
 def estimate_to_actuator(plant: Plant, L: Matrix, actuation: str, on: str | None) -> Route:
-    """Return the route of the input L x̂ to an actuator that holds its input, or predicts it from the last estimate.
+    """Return the policy steps of a link that carries the input L x̂. The actuator holds the input, or predicts it.
 
     ``on`` is the decision to send; None: every sample is sent.
     """
@@ -134,14 +136,17 @@ def route_over(
     measured: Mapping[str, Array] | None = None,
     follows: bool = True,
 ) -> GivenRoute:
-    """Return the route of a given controller's packets; ``measured`` are the terms of the measurement."""
+    """Return the policy steps of a link of a given controller. ``measured`` is the measurement as a sum of signals."""
     start = np.zeros(len(controller.A)) if start is None else start
     measured = {"y": np.eye(problem.plant.outputs)} if measured is None else measured
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":
         return _over_actuator_link(problem, controller, actuation, lossy, copied, start, measured)
     if actuation == "zero":
-        raise ProblemError("actuation is 'zero', and the link is that of the sensor; expected 'hold' or 'model'")
+        raise ProblemError(
+            "actuation is 'zero', but the policy sends its packets on the sensor link; expected actuation = 'hold' or "
+            "'model'"
+        )
     return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, measured, follows)
 
 
@@ -266,7 +271,9 @@ def _over_sensor_link(
 
 
 def actuator_base(problem: Discrete, controller: Controller) -> Base:
-    """Return the base that chooses the input in every step; z contains x, the controller's state, and y."""
+    """Return the base loop in which packets carry the input. Its state z contains plant state, controller state
+    and y.
+    """
     plant, c = problem.plant, controller
     (n, m), k, p = plant.B.shape, len(c.A), plant.outputs
     Phi = np.block([
@@ -281,7 +288,7 @@ def actuator_base(problem: Discrete, controller: Controller) -> Base:
 
 
 def sensor_base(problem: Discrete, controller: Controller) -> Base:
-    """Return the base whose controller uses the measurement in every step; the choice is the value that it uses."""
+    """Return the base loop in which packets carry the measurement to the controller."""
     plant, c = problem.plant, controller
     n, k, p = plant.states, len(c.A), plant.outputs
     state, choice = np.vstack([plant.B, c.E, plant.C @ plant.B]), np.vstack([np.zeros((n, p)), c.B, np.zeros((p, p))])
@@ -294,7 +301,7 @@ def sensor_base(problem: Discrete, controller: Controller) -> Base:
 
 
 def predicting_actuator(problem: Discrete, base: Base, steady: Filter) -> Base:
-    """Return the base whose packets carry the estimate ẑ, from which the actuator simulates plant and controller."""
+    """Return the base loop in which packets carry the estimate ẑ; with it, the actuator simulates the closed loop."""
     n, size = problem.plant.states, base.K.shape[1]
     used = block_diagonal(np.eye(size), base.K)
     moved = np.hstack([np.zeros((size, size)), base.Phi + base.Gamma @ base.K])
@@ -303,7 +310,7 @@ def predicting_actuator(problem: Discrete, base: Base, steady: Filter) -> Base:
 
 
 def predicting_controller(problem: Discrete, controller: Controller, steady: Filter) -> Base:
-    """Return the base whose packets carry measurement and estimate, from which the controller predicts both."""
+    """Return the base loop in which packets carry measurement and estimate; with them, the controller predicts both."""
     plant, base, k = problem.plant, sensor_base(problem, controller), len(controller.A)
     (n, m), p = plant.B.shape, plant.outputs
     size = n + k + p
@@ -329,7 +336,7 @@ def _corrections(problem: Discrete, steady: Filter, registers: int) -> tuple[Arr
 
 
 def nonempty(terms: dict[str, Array]) -> dict[str, Array]:
-    """Return the terms without those of signals that have no entries."""
+    """Remove the terms with an empty matrix from a sum of signals."""
     return {name: matrix for name, matrix in terms.items() if matrix.size}
 
 
@@ -367,7 +374,9 @@ class _Copies(Displayed):
         known: Condition | str | None,
         begun: Array,
     ) -> _Copies:
-        """Return the steps of both copies for a packet, the gain K, the input at a packet, and the dynamics of each."""
+        """Return the policy steps by which both ends of a link update their copies of a value, by a model and by
+        packets.
+        """
         unit = np.eye(len(begun))
         silent = ({"prediction": unit}, packet)
         return _Copies(

@@ -1,4 +1,4 @@
-"""A base, the loop whose sends the cost of silence refers to, and the value of its states.
+"""The value function of the base loop, from which the cost of not sending is computed.
 
 In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. In
 silence, the receiver uses a value h of its own. With the value c or h, the loop moves by z⁺ = Φ z + Γ c + noise at the
@@ -16,7 +16,8 @@ blocks H = Y_hh and slope = Y_hz + Y_hh K. For every policy that decides when to
 base by the mean of this over its silent steps, where the base attempts. LQG minimises its own value: its slope is zero.
 
 The value is the least fixed point of these steps, by doubling the horizon. A mode that it does not depend on may be
-marginally stable, such as an integrator that nothing reads; a solver for Lyapunov equations would refuse such modes.
+marginally stable, such as an integrator that nothing reads, or a set-point that the loop follows. A solver for Lyapunov
+equations would refuse such modes, and their rounding errors would grow with the horizon. So they are split off first.
 
 Source: schenato2009, antunes2014rollout
 """
@@ -29,9 +30,10 @@ from typing import TypeAlias
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import Array, pushed, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import growth, normal_moments, radius
+from taciturn._modes import balancing, growth, normal_moments, radius
 from taciturn._progress import check_time
 from taciturn._rational import Limit
 from taciturn._text import ordinal
@@ -50,6 +52,8 @@ MOST_UNKNOWNS = 2500  # entries of all P_m
 MEMORY = 16  # halvings of 1e-14 in the square: steps of a doubled horizon per time constant of the state
 WIDTH = 1e-6  # accuracy of the critical loss
 SCANS = 32  # losses that are tried, up to the largest, before the critical one is bisected
+LASTING = 1 - 1e-6  # modulus from which on a mode is looked at: computed modes of two integrals are off by 1e-8
+HIDDEN = 1e-7  # share of the cost below which it does not see a mode
 # Growth per step above which a loop is unstable, although its cost is finite: computed modes of two integrals that
 # the cost does not see lie up to 1e-8 outside the unit circle.
 GROWTH = 1e-6
@@ -57,7 +61,7 @@ GROWTH = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Base(Displayed):
-    """A loop whose packets carry a linear choice, as a linear system."""
+    """A linear loop in which each packet carries c = K z, a linear function of the state z."""
 
     Phi: Array  # dynamics without the choice, (n, n)
     Gamma: Array  # effect of the choice, (n, c)
@@ -69,21 +73,25 @@ class Base(Displayed):
 
     @property
     def silent(self) -> Array:
-        """Dynamics of (z, h) in a silent step, (n + c, n + c)."""
+        """Dynamics of (z, h), (n + c, n + c), in a step in which no packet arrives; h is the value that the receiver
+        uses.
+        """
         n, c = self.Gamma.shape
         held = np.hstack([np.zeros((c, n)), np.eye(c)]) if self.candidate is None else self.candidate
         return np.vstack([np.hstack([self.Phi, self.Gamma]), held])
 
     @property
     def replaced(self) -> Array:
-        """The map R from (z, h) to (z, K z), as a packet replaces the receiver's value, (n + c, n + c)."""
+        """Matrix R, (n + c, n + c), that maps (z, h) to (z, K z): a packet replaces the receiver's value h by K z."""
         n, c = self.Gamma.shape
         return np.hstack([np.vstack([np.eye(n), self.K]), np.zeros((n + c, c))])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Attempts(Displayed):
-    """The steps at which a base attempts to send, the link that drops its packets, and the sum that its cost is."""
+    """The steps at which a base loop attempts to send, the losses of its link, and the discount or horizon of
+    its cost.
+    """
 
     pattern: tuple[bool, ...] = (True,)  # whether the base attempts in each step of a cycle, or of a finite horizon
     turns: Array = field(default_factory=lambda: np.ones((1, 1)))  # transition probabilities of the channel state
@@ -94,17 +102,17 @@ class Attempts(Displayed):
 
     @property
     def start(self) -> Array:
-        """Stationary distribution of the channel state, (s,)."""
+        """Stationary distribution of the channel state of the link, (s,)."""
         return stationary(self.turns)
 
     @property
     def often(self) -> str:
-        """How often the base attempts to send, as text."""
+        """How often the loop attempts to send, as text."""
         period = self.pattern[1:].index(True) + 1 if any(self.pattern[1:]) else len(self.pattern)
         return "every sample" if period == 1 else f"once in {period} steps"
 
     def scaled(self, factor: float) -> Attempts:
-        """Return the same attempts over a link with ``factor`` times the losses."""
+        """Return a copy in which the loss probabilities of the link are multiplied by ``factor``."""
         return replace(self, losses=factor * self.losses)
 
 
@@ -113,7 +121,7 @@ EVERY_SAMPLE = Attempts()
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Advantage(Displayed):
-    """The value of a base, and the cost of silence in each step of its pattern and each channel state."""
+    """Value function of a base loop, and cost of not sending, for each step of its pattern and each channel state."""
 
     P: Array  # value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c)
     H: Array  # quadratic weight of the deviation of the choice, (steps, s, c, c)
@@ -127,7 +135,7 @@ class Advantage(Displayed):
 
 
 def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Advantage:
-    """Return the value of a base, and the cost of silence."""
+    """Compute the value function of a base loop, and the cost of not sending in this loop."""
     n, alpha, losses = len(base.Phi), attempts.discount, attempts.losses
     value, settling = _last(base, attempts, remedy)
     closed, silent, start = base.replaced[:, :n], base.silent, attempts.start
@@ -148,7 +156,7 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
         seen = seen + value.sum(axis=0)
         if not np.abs(value).max() <= LARGEST * np.abs(base.stage).max():  # also if it is NaN
             raise UnstableError(
-                f"the base of the policy, which sends {attempts.often}, is not stable, and its cost exceeds "
+                f"the loop of the base policy, which sends {attempts.often}, is not stable: its cost exceeds "
                 f"{LARGEST:g} times the weights; expected a stable loop, or a shorter horizon: {remedy}"
             )
     total = attempts.terminal is not None or alpha < 1
@@ -164,7 +172,7 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
 
 
 def note_growth(base: Base, attempts: Attempts, remedy: str) -> tuple[str, ...]:
-    """Return a remark if the base of a total cost is not stable, so that its cost grows with the horizon."""
+    """Return a note if a base loop with a total cost is unstable, because its cost then grows with the horizon."""
     if attempts.terminal is None:
         return ()
     grows = radius(base.Phi + base.Gamma @ base.K)
@@ -177,7 +185,7 @@ def note_growth(base: Base, attempts: Attempts, remedy: str) -> tuple[str, ...]:
 
 
 def critical_scale(base: Base, attempts: Attempts) -> float:
-    """Return the largest factor of the losses up to which the mean square of the base does not grow; 0 for none.
+    """Return the largest factor of the loss probabilities for which the mean square stays bounded; 0 without one.
 
     The growth need not be monotone: with losses above a range that is too high, it may decay again, for example where
     the gain moves the plant faster than zero input. So the losses are raised step by step from zero.
@@ -198,7 +206,7 @@ def critical_scale(base: Base, attempts: Attempts) -> float:
 
 
 def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
-    """Return the least value of a repeated pattern, and its time constant in steps; None if the loop is unstable."""
+    """Compute the least value function of a repeating pattern, and its time constant; None for an unstable loop."""
     cycle = _cycle(base, attempts)
     if attempts.losses.any():
         # the receiver's own value may settle a loop that every packet destabilises; such a loop is no base
@@ -228,15 +236,15 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         scale = critical_scale(base, attempts)
         stated = " and ".join(f"{p:.4g}" for p in attempts.losses) + " in its states" * (states > 1)
         limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
-        reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
+        reason = f"a loss probability {limit}" if scale else f"a stable loop: {remedy}"
         raise UnstableError(
-            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send {attempts.often} "
-            f"grows; expected {reason}"
+            f"{attempts.key} sets the loss probability {stated}, so the mean square of the state grows if the loop "
+            f"attempts to send {attempts.often}; expected {reason}"
         )
     if len(attempts.pattern) > 1:
         raise UnstableError(
-            f"the loop that sends at every {ordinal(len(attempts.pattern))} step is not stable; expected a smaller "
-            f"every: {remedy}"
+            f"the loop that sends only at every {ordinal(len(attempts.pattern))} step is not stable; expected a "
+            f"smaller value of 'every': {remedy}"
         )
     modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
     worst = complex(modes[np.argmax(np.abs(modes))])
@@ -257,11 +265,40 @@ def _cycle(base: Base, attempts: Attempts) -> Cycle:
 
 
 def least_value(F: Array, M: Array) -> tuple[Array, float]:
-    """Return the least solution of P = M + F'PF, and the modulus of the slowest mode that it depends on, or infinity.
+    """Compute the least solution of P = M + F'PF, and the modulus of its slowest mode. P is infinite if none exists.
 
     The horizon is doubled until the value does not change. ``_modes.summed`` also waits until the powers of F are zero,
     which those of a marginal mode never are.
     """
+    if radius(F) < LASTING:
+        return _doubled(F, M)
+    unit = balancing(F)
+    scaled = F / unit[:, None] * unit, M * unit * unit[:, None]
+    seen = seen_part(*scaled)
+    P, slowest = _doubled(seen.T @ scaled[0] @ seen, symmetrised(seen.T @ scaled[1] @ seen))
+    return symmetrised(seen @ P @ seen.T) / unit / unit[:, None], slowest
+
+
+def seen_part(F: Array, C: Array) -> Array:
+    """Return coordinates, (k, n), of z⁺ = F z without the non-decaying modes that are unobservable through C.
+
+    The sizes of the states must be comparable.
+    """
+    whole = np.eye(len(F))
+    lasting, basis, many = _scipy.real_schur(F, LASTING)
+    if not many:
+        return whole
+    rows = [C @ basis[:, :many]]
+    for _ in range(1, many):
+        rows.append(rows[-1] @ lasting[:many, :many])
+    _, sizes, directions = np.linalg.svd(np.vstack(rows), full_matrices=True)
+    rank = int((sizes > HIDDEN * np.linalg.norm(C, 2)).sum())
+    hidden = basis[:, :many] @ directions[rank:].T
+    return np.asarray(np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :], dtype=np.float64)
+
+
+def _doubled(F: Array, M: Array) -> tuple[Array, float]:
+    """Return the sum of F'^k M F^k by doubling the horizon, and the modulus of the slowest mode that it depends on."""
     P, step = M, F
     size = float(np.abs(P).max(initial=0.0))
     for _ in range(DOUBLINGS):
@@ -278,7 +315,7 @@ def least_value(F: Array, M: Array) -> tuple[Array, float]:
 
 
 def lossy(cycle: Cycle, turns: Array) -> tuple[Array, float] | None:
-    """Return the least P_m ≥ 0 at the start of a cycle, and its time constant in steps; None if the value is infinite.
+    """Compute the least values P_m ≥ 0 at the start of a cycle, and their time constant; None if they are infinite.
 
     All P_m are unknowns of one linear map, and the horizon is doubled as without losses.
     """
@@ -318,16 +355,16 @@ def lossy(cycle: Cycle, turns: Array) -> tuple[Array, float] | None:
 
 
 def expect_few_states(size: int, channels: int) -> None:
-    """Raise an error if the value over a lossy link has too many unknowns."""
+    """Raise an error if the number of unknowns in the value function over a lossy link is too large."""
     if channels * size * (size + 1) // 2 > MOST_UNKNOWNS:
         raise ProblemError(
-            f"plant, controller and link have {size} states together, too many for the value over a lossy link; "
-            "expected fewer states, or a link without losses"
+            f"the plant, the controller and the model of the link have {size} states together, too many to compute the "
+            "cost-to-go over a link that drops packets; expected fewer states, or a link without losses"
         )
 
 
 def fourth_moments(P: Array, cycle: Cycle, turns: Array) -> float:
-    """Return the growth per step of the fourth moments of the states on which the value P depends."""
+    """Compute the growth factor per step of the fourth moments of the states with a nonzero weight in P."""
     size, vectors = np.linalg.eigh(P)
     seen = vectors[:, size > SEEN * size.max(initial=0.0)]
     shape = (len(turns), *[seen.shape[1]] * 4)

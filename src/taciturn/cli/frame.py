@@ -1,4 +1,4 @@
-"""The application: options that commands share, how they print and save results, mistakes, completion and exit codes.
+"""The application: common options, printing and saving of results, completion of words, and exit codes.
 
 Every command is a function with the options as arguments. Options of several commands are types here, such as ``File``,
 ``Settings`` (--set), ``Json`` and ``Plot``; commands of other packages use them too. They are stated here and not taken
@@ -7,8 +7,7 @@ once; so this module imports nothing heavy before a command runs. A test compare
 
 A command ends by ``print_result``, ``save_picture``, and by ``refuse`` if a requested accuracy is not reached.
 
-A mistake in the command line is one sentence: what is wrong, what was given, what is expected, and a remedy. The parser
-has texts without remedies (``usage_text``), and the library names arguments and not options (``name_options``).
+``usage`` reads the words of the command line, and has the sentences about mistakes in them.
 
 A shell completes files, built-in problems, policy kinds and links; no kind is imported for this.
 """
@@ -18,7 +17,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 import select
 import sys
 import tomllib
@@ -34,108 +32,25 @@ import typer.core
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
 from taciturn._process import Interrupted, ends_on_signals, has_ended, prefer_one_thread
-from taciturn._text import wrapped_text
+from taciturn._text import WIDEST, wrapped_text
+from taciturn.cli.usage import EXAMPLE as EXAMPLE
+from taciturn.cli.usage import name_options, no_command, parser_words, usage_text
 from taciturn.errors import TaciturnError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taciturn._progress import Progress
+    from taciturn._style import StyleName
     from taciturn.problem import Problem
-
-EXAMPLE = "\b\nExample:\n  "  # start of the last paragraph of the help of a command, which is not wrapped
-ALIKE = 0.65  # least similarity of a suggested command or option, from 0 to 1
-SUBJECT = re.compile(r"(\w+)(?: and (\w+))? (?:is|are|has) ")
-
-
-def usage_text(error: Any) -> str:
-    """Return the sentence for an error of the command line's parser, whose texts have no remedy."""
-    context = getattr(error, "ctx", None)
-    if context is None:
-        sentence = error.format_message().removeprefix("Option ").replace(" requires an argument.", " has no value")
-        return f"{sentence.replace(chr(39), '')}; expected a value after it; see taciturn --help"
-    path, see = context.command_path, f"see {context.command_path} --help"
-    options = _options(context.command)
-    if hasattr(error, "possibilities"):
-        return _no_option(path, error.option_name, options)
-    param = getattr(error, "param", None)
-    if hasattr(error, "param_type"):
-        example = (context.command.epilog or "").removeprefix(EXAMPLE)
-        return f"{_shown(param)} is missing; expected, for example, {example}; {see}"
-    if param is not None:
-        from taciturn._arrays import quoted
-        from taciturn.problem.schema import ours
-
-        expected = ours(error.message).partition(",")[0].replace("greater than or equal to", "at least")
-        expected = expected if expected.startswith("expected") else "expected a number of fewer digits"
-        return f"{_shown(param)} is {quoted(_typed(param))}; {expected}; {see}"
-    unknown = re.match(r"No such command '(.*?)'", error.message)
-    if unknown is not None:
-        from taciturn.problem.schema import suggest
-
-        names = list(context.command.commands)
-        return f"there is no command {unknown[1]!r}; {see}, which lists the commands{suggest(unknown[1], names, ALIKE)}"
-    extra = re.search(r"unexpected extra arguments?(?:\(s\))? \((.*)\)", error.message)
-    if extra is not None:
-        usage = " ".join([path, *context.command.collect_usage_pieces(context)])
-        return f"{extra[1]!r} is one argument too many; expected {usage}; {see}"
-    return f"{error.format_message().rstrip('.')}; {see}"
-
-
-def name_options(error: TaciturnError, command: Any) -> TaciturnError:
-    """Return an error of the library with the options that the user typed in place of the names of arguments."""
-    sentence, options = str(error), _options(command)
-    typed = {word.partition("=")[0] for word in sys.argv}  # not the answers to the questions of `new`
-    subject = SUBJECT.match(sentence)
-    if subject is None:
-        return error
-    start, rest = subject[0], sentence[subject.end() :]
-    for name in filter(None, subject.groups()):
-        if options.get(name) in typed:
-            start = re.sub(rf"(?<!-)\b{name}\b", options[name], start)
-            rest = re.sub(rf"(?<=[<≤] ){name}\b|\b{name}(?= [<≤])", options[name], rest)  # of the bounds of a number
-    return type(error)(start + rest)
-
-
-def _options(command: Any) -> dict[str, str]:
-    """Return the options of a command by the names that the library gives to their values."""
-    found = {str(one.name): max(one.opts, key=len) for one in command.params if one.opts[0].startswith("--")}
-    aliases = {"time": "time_limit", "least_period": "least"}
-    return {aliases.get(name, name): option for name, option in found.items()}
-
-
-def _no_option(path: str, typed: str, options: dict[str, str]) -> str:
-    from taciturn.problem.schema import suggest
-
-    names = [*options.values(), "--help"]
-    near = suggest(typed, [name for name in names if name != "--set"], ALIKE)
-    if near or "--set" not in names:
-        return f"{path} has no option {typed}; see {path} --help{near}"
-    values = "; taciturn tradeoff FILE --over NAME=v1,v2,… compares several values" if typed == "--over" else ""
-    return f"{path} has no option {typed}; see {path} --help; --set NAME=VALUE changes a parameter{values}"
-
-
-def _shown(param: Any) -> str:
-    """Return an option, or the name of an argument, as the help shows it."""
-    return max(param.opts, key=len) if param.opts[0].startswith("-") else str(param.metavar or param.name)
-
-
-def _typed(param: Any) -> str:
-    """Return the value that was typed after an option."""
-    words = sys.argv
-    for word, following in zip(words, [*words[1:], ""], strict=True):
-        if word in param.opts:
-            return following
-        if word.partition("=")[0] in param.opts:
-            return word.partition("=")[2]
-    return ""
-
 
 LARGEST = 2**24  # bytes of a problem file
 
 
 def complete_file(incomplete: str) -> list[str]:
-    """Return the built-in problems and TOML files with this prefix; if there are none, the shell completes folders."""
+    """List the built-in problems and TOML files that begin with ``incomplete``. If there are none, folders are
+    listed.
+    """
     folder = incomplete[: incomplete.rfind("/") + 1]
     try:
         files = sorted(f"{folder}{path.name}" for path in Path(folder or ".").glob("*.toml"))
@@ -146,7 +61,7 @@ def complete_file(incomplete: str) -> list[str]:
 
 
 def complete_from(*words: str) -> Callable[[str], list[str]]:
-    """Return a completion function for these words."""
+    """Create a function that lists those of the given words that begin with the typed letters."""
 
     def complete(incomplete: str) -> list[str]:
         return [word for word in words if word.startswith(incomplete)]
@@ -155,14 +70,14 @@ def complete_from(*words: str) -> Callable[[str], list[str]]:
 
 
 def complete_kind(incomplete: str) -> list[str]:
-    """Return the policy kinds with this prefix; no kind is imported."""
+    """List the policy kinds that begin with ``incomplete``, without importing any of them."""
     from taciturn.design.catalogue import CATALOGUE
 
     return complete_from(*CATALOGUE)(incomplete)
 
 
 def complete_link(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the links with this prefix of the problem files among the words typed before."""
+    """List the links that begin with ``incomplete``, from the problem files earlier on the command line."""
     links = [link for word in context.args for link in _links(word)]
     return complete_from(*dict.fromkeys(links))(incomplete)
 
@@ -185,12 +100,14 @@ def _links(name: str) -> Iterable[str]:
         return ()
 
 
+HELPING = "Help"  # the group that --help lists last
 GROUPS: dict[str, list[str]] = {
     "Design and inspect": ["new", "show", "tune"],
     "Measure and prove": ["evaluate", "simulate", "certify", "bench"],
     "Compare": ["tradeoff", "compare", "sweep", "channel"],
     "Run": ["network", "node", "plant", "relay"],
     "Export": ["export"],
+    HELPING: ["help", "version"],
 }
 """The commands by purpose, as --help lists them; another package appends its commands."""
 HELP = """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.
@@ -211,15 +128,16 @@ SIGTERM 143, SIGHUP 129.
 """
 
 
-WIDEST = 160  # largest width of help texts in columns; on narrower terminals they use the terminal's width
-
-
 class Groups(typer.core.TyperGroup):
-    """Group of commands whose help lists them by purpose, and whose errors name the options that were typed."""
+    """Group of commands, whose help sorts them by purpose and whose errors name the options that the user typed."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Find the command that the user typed, and convert the words after it to the form that the parser expects."""
+        name, command, words = super().resolve_command(ctx, args)
+        return name, command, words if command is None else parser_words(command, words)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the chosen command."""
-        from taciturn.errors import TaciturnError
+        """Run the command. If it raises an error, its message names the options that the user typed, not arguments."""
 
         try:
             return super().invoke(ctx)
@@ -228,8 +146,8 @@ class Groups(typer.core.TyperGroup):
             raise error if chosen is None else name_options(error, chosen) from None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section of the help for each group of commands."""
-        for title, names in GROUPS.items():
+        """Write the help section by section, with one section for each group of commands."""
+        for title, names in sorted(GROUPS.items(), key=lambda group: group[0] == HELPING):
             with formatter.section(title):
                 formatter.write_dl([(name, (self.commands[name].help or "").partition("\n")[0]) for name in names])
 
@@ -238,7 +156,7 @@ app = typer.Typer(
     name="taciturn",
     cls=Groups,
     rich_markup_mode=None,
-    context_settings={"max_content_width": WIDEST},
+    context_settings={"max_content_width": WIDEST, "help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
@@ -252,27 +170,33 @@ File = Annotated[
 ]
 Kind = Annotated[
     str | None,
-    typer.Option(metavar="KIND", help="Policy kind, e.g. lqg. Prompted for if omitted.", autocompletion=complete_kind),
+    typer.Option(
+        metavar="KIND", help="Policy kind, e.g. lqg. Default: `taciturn new` asks for it.", autocompletion=complete_kind
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print the methods, seeds and computing times.")]
 Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Set a key of [policy], or a dotted key such as cost.R; the value none removes the key.",
+        help="Set a key of the problem: a key of [policy], or a dotted key such as cost.R. The value none "
+        "removes the key.",
     ),
 ]
 NoFunctions = Annotated[
     bool,
-    typer.Option("--no-functions", help="Refuse problem files that name Python functions, which would be executed."),
+    typer.Option(
+        "--no-functions", help="Refuse problem files that name Python functions, whose code would be executed."
+    ),
 ]
 GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the random numbers. Default: 0.")]
 Link = Annotated[
     str | None,
     typer.Option(
-        help="Link to which the rate refers if the policy decides on several links.",
+        help="Link whose rate is meant if the policy decides on several links.",
         autocompletion=complete_link,
     ),
 ]
@@ -287,39 +211,105 @@ def _checked_picture(path: Path | None) -> Path | None:
 
 Plot = Annotated[
     Path | None,
-    typer.Option(metavar="OUT", help="Save a figure as .svg, .png or .pdf.", callback=_checked_picture),
+    typer.Option(  # it is eager, so that the check of --style knows it
+        metavar="OUT", help="Save a figure as .svg, .png or .pdf.", callback=_checked_picture, is_eager=True
+    ),
+]
+
+
+def _checked_style(context: typer.Context, style: str | None) -> str | None:
+    """Refuse an unknown style, or one without a figure, before anything is computed."""
+    from taciturn._style import find_style
+    from taciturn.errors import ProblemError
+
+    if style is not None and context.params.get("plot") is None:
+        raise ProblemError(
+            "--style is given without --plot; expected both options: add --plot OUT, where OUT is the file of the "
+            "figure"
+        )
+    return None if style is None else find_style(style).name
+
+
+PictureStyle = Annotated[
+    str | None,
+    typer.Option(
+        "--style",
+        metavar="STYLE",
+        help="Style of the figure that --plot saves: light (default), dark, paper (3.5 inches wide) or paper-wide "
+        "(7.16 inches wide).",
+        callback=_checked_style,
+        autocompletion=complete_from("light", "dark", "paper", "paper-wide"),
+    ),
 ]
 Confidence = Annotated[
     float | None,
     typer.Option(
-        help="Confidence level of the lower bound on the cost. Default: 0.999 if a bound exists; 0: no bound."
+        help="Confidence level of the lower bound on the cost; 0 computes no bound. Default: 0.999 if a bound exists."
     ),
 ]
-Steps = Annotated[int | None, typer.Option(help="Fixed total number of simulated steps (instead of a standard error).")]
+Steps = Annotated[int | None, typer.Option(help="Total number of simulated steps, in place of --standard-error.")]
 TimeLimit = Annotated[
     float | None,
-    typer.Option("--time", metavar="SECONDS", help="Time limit, with the design of the policy. Default: none."),
+    typer.Option(
+        "--time",
+        metavar="SECONDS",
+        help="Time limit in seconds, including the design of the policy. Default: no limit.",
+    ),
 ]
 StandardError = Annotated[
-    float | None, typer.Option(help="Absolute standard error of the cost. Default: 1e-4 of the cost.")
+    float | None,
+    typer.Option(help="Requested standard error of the cost, in the unit of the cost. Default: 1e-4 of the cost."),
 ]
 
 
 @app.callback(invoke_without_command=True, help=HELP, epilog=READ_ON)
 def _root(
-    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", "-V", help="Print the version.")] = False
 ) -> None:
     """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate."""
     if version:
-        from taciturn import __version__
-
-        typer.echo(__version__)
+        print_version()
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
+def complete_command(context: typer.Context, incomplete: str) -> list[str]:
+    """List the commands that begin with ``incomplete``."""
+    return complete_from(*_commands(context))(incomplete)
+
+
+@app.command("help", epilog=EXAMPLE + "taciturn help evaluate")
+def print_help(
+    context: typer.Context,
+    command: Annotated[
+        str | None, typer.Argument(metavar="[COMMAND]", help="Command.", autocompletion=complete_command)
+    ] = None,
+) -> None:
+    """Print the help of a command, or the list of all commands."""
+    commands, root = _commands(context), context.find_root()
+    if command is None:
+        typer.echo(root.get_help())
+    elif command in commands:
+        typer.echo(commands[command].make_context(command, ["--help"], root, resilient_parsing=True).get_help())
+    else:
+        refuse(no_command(command, commands))
+
+
+@app.command("version", epilog=EXAMPLE + "taciturn version")
+def print_version() -> None:
+    """Print the version."""
+    from taciturn import __version__
+
+    typer.echo(__version__)
+
+
+def _commands(context: typer.Context) -> dict[str, Any]:
+    group: Any = context.find_root().command
+    return group.commands
+
+
 def add_commands() -> None:
-    """Import the modules with the commands of other packages; print a message about one that fails or is not new."""
+    """Import the commands of other packages. Print a message if an import fails or a command's name exists already."""
     from taciturn._plugins import find_plugins, load_plugin, package_of
     from taciturn.errors import ProblemError
 
@@ -345,13 +335,12 @@ def add_commands() -> None:
 
 
 def main() -> None:
-    """Run the command line: exit code 0, 2 with one sentence on standard error, or 128 + signal."""
+    """Run the command line. The exit code is 0, or 2 after an error message, or 128 + signal number after a signal."""
     with ends_on_signals():
         _run()
 
 
 def _run() -> None:
-    from taciturn.errors import TaciturnError
 
     prefer_one_thread()
     _replace_closed_streams()
@@ -383,7 +372,7 @@ def _run() -> None:
             raise
         refuse(
             f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
-            "expected numbers nearer to 1: scale the problem"
+            "expected numbers closer to 1: scale the problem"
         )
     else:
         sys.exit(code if isinstance(code, int) else 0)
@@ -393,7 +382,7 @@ class _Sentences(logging.Handler):
     """Prints log records to the current standard error stream."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record."""
+        """Print a log record to standard error."""
         print(_message(record.getMessage()), file=sys.stderr)
 
 
@@ -424,7 +413,7 @@ def _message(sentence: str) -> str:
 
 
 def refuse(sentence: str) -> NoReturn:
-    """Print an error message and exit with code 2; if a signal has stopped the command, raise Interrupted instead."""
+    """Print an error message and exit with code 2. If a signal stopped the command, raise ``Interrupted`` instead."""
     if has_ended():
         raise Interrupted
     try:
@@ -440,7 +429,7 @@ def refuse(sentence: str) -> NoReturn:
 
 
 def drop_output() -> None:
-    """Discard the buffered output of a stream that cannot be written to, so that Python reports no error at its end."""
+    """Discard the buffered output of closed or full streams, so that Python prints no error about them at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -481,65 +470,74 @@ def _replace_closed_streams() -> None:
 
 
 def print_json(document: dict[str, Any], origin: Mapping[str, Any]) -> None:
-    """Print a JSON document with the data needed to reproduce it; keys of the document take precedence."""
+    """Print a JSON document with the data that reproduce it. If both contain a key, the document's value is printed."""
     told = {name: value for name, value in origin.items() if name not in document}
     typer.echo(json.dumps(document | told, indent=1, allow_nan=False))
 
 
 class Result(Protocol):
-    """A result of a study, which also has a text."""
+    """A result of a study that can be printed as text and as a JSON document."""
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document."""
         ...
 
+    def text(self, verbose: bool = False) -> str:
+        """Return the text."""
+        ...
+
 
 class Drawn(Protocol):
-    """A result that draws itself."""
+    """A result that can draw itself as a figure."""
 
-    def plot(self) -> Figure:
-        """Return the figure."""
+    def plot(self, *, style: StyleName) -> Figure:
+        """Draw the figure in a style."""
         ...
 
 
 def print_result(
     found: Result,
     as_json: bool,
+    verbose: bool,
     problem: Problem | Mapping[str, Problem] | None = None,
     seed: int | None = None,
     *,
     unused: int | None = None,
 ) -> None:
-    """Print a result as text, with a note on an unused seed, or as a JSON document with what reproduces it."""
+    """Print a result as text, or as JSON with the data that reproduce it. Print a note if the seed has no effect."""
     from taciturn.study.record import origin
 
     if as_json:
         print_json(found.document(), origin(problem, seed))
     else:
-        typer.echo(found)
+        typer.echo(found.text(verbose))
         note_seed(unused, drawn=False)
 
 
 def save_picture(
     found: Drawn,
     path: Path | None,
+    style: str | None,
     as_json: bool,
     problem: Problem | Mapping[str, Problem],
     seed: int | None = None,
     method: str | None = None,
 ) -> None:
-    """Save a figure, if a path is given; after the numbers, which are printed even if this fails."""
+    """Save the figure of a result if a path is given. The numbers are printed first, so that a failure does not lose
+    them.
+    """
     from taciturn._figure import save
+    from taciturn._style import find_style
     from taciturn.study.record import origin
 
     if path is not None:
-        save(found.plot(), path, origin(problem, seed, method))
+        save(found.plot(style=find_style(style or "light").name), path, origin(problem, seed, method))
         if not as_json:
             typer.echo(f"picture: {path}")
 
 
 def can_print(letters: str) -> bool:
-    """Return whether standard output can encode these characters."""
+    """Check whether the encoding of standard output contains these characters."""
     try:
         letters.encode(sys.stdout.encoding or "ascii")
     except UnicodeError:
@@ -549,7 +547,7 @@ def can_print(letters: str) -> bool:
 
 @contextmanager
 def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
-    """Show a progress bar with the remaining time on standard error, if it is a terminal."""
+    """While the block runs, show a progress bar with the remaining time, if standard error is a terminal."""
     if not sys.stderr.isatty():
         yield lambda fraction: None
         return
@@ -567,7 +565,7 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
 
 
 def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:
-    """Load a problem and change the keys that --set names."""
+    """Load a problem, and change the keys that the user has set with ``--set``."""
     from taciturn import load
     from taciturn.problem.settings import parse_settings
     from taciturn.problem.without_file import passed_problem
@@ -577,7 +575,7 @@ def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> P
 
 
 def note_seed(seed: int | None, drawn: bool) -> None:
-    """Print a note if a seed is given but no random numbers were drawn."""
+    """Print a note if the user gave a seed but the computation used no random numbers."""
     if seed is not None and not drawn:
         typer.echo(f"note: --seed {seed} had no effect: nothing was drawn")
 
@@ -592,11 +590,11 @@ Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default:
 
 
 def load_all(files: list[str], settings: list[str] | None, no_functions: bool) -> dict[str, Problem]:
-    """Return the problems by name."""
+    """Load the problems of several files; return them by name."""
     return dict(zip(names_of(files), [load_changed(file, settings, no_functions) for file in files], strict=True))
 
 
 def names_of(files: list[str]) -> list[str]:
-    """Return the names of problems: their file names, with numbers if some names are equal."""
+    """Return names for problems: their file names, each followed by a number if several files have the same name."""
     stems = [Path(file).stem for file in files]
     return [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]

@@ -1,4 +1,4 @@
-"""Design functions of all policies, one family of policies per file, with their guarantees on the cost.
+"""Design functions of all policy kinds, with proven bounds on the cost. Each file contains one family of policies.
 
 A design function takes a plant, a cost and its parameters, and returns a ``Policy``, which is data rather than code.
 The function solves the underlying LQG problem (``taciturn.lqg``), writes the policy steps, and states the theorem. The
@@ -7,11 +7,12 @@ gives
 
     J = J_all + E[e'(R + B'KB)e in silence],
 
-so every trigger that bounds this square bounds the cost (``bounds``). ``silence`` is the rule for any base,
-``several_nodes`` that for several sensors and actuators, ``dead_bands`` the rules without a model, ``prediction``
-writes policies that predict, and ``at_fixed_steps`` those without a decision. A kind is a file in ``kinds`` that ends
-with the record of the kind (``kind``); ``catalogue`` lists these files and the kinds of other packages. A new kind
-requires a file in ``kinds`` and a test of its theorem.
+so every trigger that bounds this square bounds the cost (``bounds``). ``silence`` is the rule for any base, and
+``several_nodes`` that for several sensors and actuators. ``around_controller`` writes the links around any linear
+controller, with the rule of ``dead_bands``, or with a bound on every path (``every_path``). ``prediction`` writes
+policies that predict, and ``at_fixed_steps`` those without a decision. A kind is a file in ``kinds`` that ends with the
+record of the kind (``kind``); ``catalogue`` lists these files and the kinds of other packages. A new kind requires a
+file in ``kinds`` and a test of its theorem.
 
 The design functions are attributes of this package: ``design.lqg`` is the one of the kind ``lqg``. A kind is imported
 when its function is used for the first time.

@@ -1,4 +1,4 @@
-"""Policies that send at fixed steps, with their exact costs.
+"""Policies that send at fixed steps, each with its exact cost.
 
 No decision depends on the state, so the loop is linear and periodic, and cost and rate have closed forms. The decision
 is data: a constant that a step counter reads from a table, negative in the steps with a send.
@@ -8,6 +8,7 @@ is data: a constant that a step counter reads from a table, negative in the step
   equation (``lqg/periodic``). The cost is tr(QΣ) plus that of the pattern.
 * An actuator with a model predicts between sends. k steps after a send, the error of its prediction is the sum of k
   innovations, with the covariance V_k, and its input costs tr(L'HL V_k) more than the best one (``predicted_cost``).
+* ``same_nodes`` are the nodes of any policy, whose packets a timetable sends in place of their decisions.
 * ``innovation_at_queries`` has the steps of a sensor that is read by a schedule, and of the filter that hears it.
 
 Source: astrom1997computer, bengaid2006
@@ -15,7 +16,8 @@ Source: astrom1997computer, bengaid2006
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,15 +26,15 @@ from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, certai
 from taciturn.base.filter import CLOCK, SEND, count_ticks
 from taciturn.lqg.periodic import Pattern, lift
 from taciturn.model.policy import Policy
-from taciturn.model.steps import Assign, Decide, Received, Send, Step
-from taciturn.model.theory import ClosedForm
+from taciturn.model.steps import Assign, Decide, Location, Received, Send, Step
+from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 QUERY = "query"
 
 
 def every_tick(kind: str, certainty: CertaintyEquivalentDesign, notes: tuple[str, ...] = ()) -> Policy:
-    """Return the policy that sends at every step and holds its input, with its exact cost."""
+    """Return the policy that sends at every step, with an actuator that holds the input. Its cost is exact."""
     plant, L = certainty.problem.plant, certainty.regulator.L
     steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
     return certainty_policy(
@@ -47,7 +49,7 @@ def every_tick(kind: str, certainty: CertaintyEquivalentDesign, notes: tuple[str
 
 
 def held_in_cycles(kind: str, certainty: CertaintyEquivalentDesign, pattern: Pattern) -> Policy:
-    """Return the policy that holds its input and updates it according to a periodic pattern, with its exact cost."""
+    """Return the policy that updates the held input at the steps of a repeating pattern. Its cost is exact."""
     one = len(pattern.gains) == 1
     L = pattern.gains[0] if one else Scheduled(CLOCK, np.repeat(pattern.gains, pattern.intervals, axis=0))
     return time_triggered(kind, certainty, L, "hold", pattern.intervals, certainty.estimation_cost + pattern.cost)
@@ -61,7 +63,7 @@ def time_triggered(
     intervals: Sequence[int],
     average: float,
 ) -> Policy:
-    """Return the policy that sends after each of the given intervals, with its cost per step."""
+    """Return the policy that sends at the given intervals. ``average`` is its average cost per step."""
     length, sends = sum(intervals), np.cumsum((0, *intervals[:-1]))
     trigger = Trigger({"silent": Form(), SEND: _turn(np.isin(np.arange(length), sends))})
     steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
@@ -78,10 +80,45 @@ def time_triggered(
     )
 
 
+TIMETABLE = "timetable"  # name of its step counter
+
+
+def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:
+    """Replace the decisions of a policy by a repeating timetable of sends. All other computations stay the same."""
+    # A decision on several links takes the option that sends on the wanted links, or else on the fewest others. Links
+    # on which the policy sends at fixed steps keep these steps, for which its gains may be.
+    length = len(next(iter(sends.values())))
+    steps = list[Step]()
+    for step in policy.steps:
+        on = [one for one in policy.steps if isinstance(one, Send) and one.on is not None]
+        mine = [one for one in on if isinstance(step, Decide) and one.on == step.decision]
+        if not isinstance(step, Decide) or not mine or not step.trigger.reads:
+            steps.append(step)
+            continue
+        labels = step.trigger.labels
+        options = [{one.link for one in mine if label in one.sending(labels)} for label in labels]
+        wanted = [{one.link for one in mine if sends[one.link][k]} for k in range(length)]
+        chosen = np.array([min(range(len(labels)), key=lambda i: _missed(options[i], here)) for here in wanted])
+        forms = {
+            label: Form(constant=Scheduled(TIMETABLE, np.where(chosen == i, -1.0, 1.0)))
+            for i, label in enumerate(labels)
+        }
+        steps.append(Decide(step.at, step.decision, Trigger(forms)))
+    known = policy.theory
+    theory = Theory(known.cost, known.cost_all_time, known.noise_cost, known.settling, sums=known.sums)
+    counter = Location(TIMETABLE, np.roll(np.arange(length), -1))
+    return replace(policy, steps=tuple(steps), theory=theory, locations=(*policy.locations, counter), notes=())
+
+
+def _missed(option: Set[str], wanted: Set[str]) -> tuple[int, int]:
+    """Return the number of wanted links on which an option does not send, and of others on which it does."""
+    return len(wanted - option), len(option - wanted)
+
+
 def innovation_at_queries(
     node: str, controller: str, seen: Mapping[str, Array], queries: Bits, suffix: str = ""
 ) -> tuple[Step, ...]:
-    """Return the steps of a scheduled sensor, and the innovation at the controller, which is 0 without a packet."""
+    """Return the policy steps of a sensor with a schedule, and of the innovation, which is 0 without a packet."""
     (sent, prediction), label = seen, f"{QUERY}{suffix}"  # the innovation is the measurement less what is predicted
     nothing = {prediction: np.zeros(seen[prediction].shape)}
     return (
@@ -97,10 +134,15 @@ def _turn(sends: Bits) -> Form:
 
 
 def predicted_cost(certainty: CertaintyEquivalentDesign, intervals: Sequence[int]) -> float:
-    """Return the cost per step of periodic control whose actuator predicts the state between sends."""
-    # The additional cost above J_all is the sum of Σ_{j<k} tr(L'HL V_j) over all intervals k of the cycle, divided by
-    # the number of its steps. The inner sum is the noise cost of k steps with the weight L'HL, driven by innovations.
+    """Return the cost per step if sends are periodic and the actuator predicts the state from one send to the next."""
     plant = certainty.problem.plant
-    free = np.zeros((plant.inputs, plant.inputs))
-    given = plant.A, plant.B, certainty.square, free, np.zeros_like(plant.B), certainty.corrections
-    return certainty.cost_all_time + sum(lift(*given, ticks).noise_cost for ticks in intervals) / sum(intervals)
+    return certainty.cost_all_time + waiting_cost(plant.A, plant.B, certainty.square, certainty.corrections, intervals)
+
+
+def waiting_cost(A: Array, B: Array, square: Array, corrections: Array, intervals: Sequence[int]) -> float:
+    """Return the cost per step that prediction between sends adds to J_all. ``square`` is the weight L'HL."""
+    # The sum of Σ_{j<k} tr(L'HL V_j) over all intervals k of the cycle, divided by the number of its steps. The inner
+    # sum is the noise cost of k steps with the weight L'HL, driven by innovations.
+    free = np.zeros((B.shape[1], B.shape[1]))
+    given = A, B, square, free, np.zeros_like(B), corrections
+    return sum(lift(*given, ticks).noise_cost for ticks in intervals) / sum(intervals)

@@ -1,4 +1,4 @@
-"""Bounds on the cost of silence, and the checks of the thresholds to which they refer.
+"""Bounds on the cost of not sending, and checks of the trigger thresholds that these bounds contain.
 
 Four arguments give all bounds of the policy kinds.
 
@@ -32,19 +32,21 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.model.theory import ErrorGain, Guarantee, with_silence
 
 PULLED = " + 2γ√(what silence adds), γ of the timetable"
-NO_BOUND = "no bound is known: the weight is zero for some errors that have a cost"
+NO_BOUND = "no guarantee is known: the weight is zero for some errors that have a cost"
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
 
 def expect_one_threshold(delta: float | None, theta: float | None) -> None:
-    """Raise a ``ProblemError`` unless exactly one of the threshold δ and the share θ is given."""
+    """Raise a ``ProblemError`` if both ``delta`` and ``theta`` are given, or neither."""
     if (delta is None) == (theta is None):
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
-        raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
+        raise ProblemError(
+            f"delta or theta sets the trigger threshold, but {got} given; expected exactly one of these parameters"
+        )
 
 
 def threshold_of(cost: float, delta: float | None, theta: float | None) -> float:
-    """Return the threshold δ per step, given itself or as a share θ of the cost of sending every sample."""
+    """Return the trigger threshold per step: ``delta``, or ``theta`` times the cost of sending every sample."""
     expect_one_threshold(delta, theta)
     if delta is not None:
         return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
@@ -52,31 +54,34 @@ def threshold_of(cost: float, delta: float | None, theta: float | None) -> float
 
 
 def shares_of(shares: Mapping[str, float] | None, links: Sequence[str]) -> dict[str, float]:
-    """Return the share of each link in a threshold; 1 for a link that is not listed."""
+    """Return the weight of each link in the trigger threshold. It is 1 for links that ``shares`` does not list."""
     given = cast("object", {} if shares is None else shares)
     if not isinstance(given, Mapping):
-        raise ProblemError(f"shares is {quoted(given)}; expected a number for each link, such as {{{links[0]!r}: 2.0}}")
+        raise ProblemError(
+            f"shares = {quoted(given)}; expected one number for each link, such as {{{links[0]!r}: 2.0}}"
+        )
     found = dict.fromkeys(links, 1.0)
     for link, share in cast("Mapping[str, object]", given).items():
         if link not in found:
             raise ProblemError(
-                f"shares.{link} is {quoted(share)}, but no packets are decided on this link; expected shares of "
-                f"{', '.join(links)}"
+                f"shares.{link} is {quoted(share)}, but the policy makes no send decisions on this link; expected "
+                f"shares only for the links {', '.join(links)}"
             )
         found[link] = number(f"shares.{link}", share, 0.0, LARGEST_PARAMETER, closed=True)
     return found
 
 
 def expect_some_weight(W: Array) -> None:
-    """Raise a ``ProblemError`` if the weight of a trigger is zero."""
+    """Raise a ``ProblemError`` if a trigger's weighting matrix is zero, because the policy would never send."""
     if not W.any():
         raise ProblemError(
-            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
+            "all entries of weight are 0, so the policy would never send; expected a weight with at least one nonzero "
+            "entry"
         )
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
-    """Return the least μ with M ⪯ μ·weight for semidefinite matrices, or None if no μ satisfies this."""
+    """Return the least μ with M ⪯ μ·weight, for positive semidefinite matrices; None if no μ satisfies this."""
     size = np.maximum(np.diag(weight), 0.0)
     size = np.sqrt(np.where(size > 0, size, np.maximum(np.diag(M), 0.0)))
     unit = np.where(size > 0, size, 1.0)  # scaling that makes the result independent of units
@@ -91,12 +96,14 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the text by which the cost bound of a sampled plant excludes the inter-sample noise cost c."""
+    """Write the term by which a bound subtracts the inter-sample noise cost; empty if there is no such cost."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
-    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
+    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy in which each step without a packet costs at most δ
+    more.
+    """
     problem, pull = certainty.problem, certainty.pull
     all_time, factor = certainty.raised(per_silence, certainty.allowance)
     per_silence *= factor
@@ -115,7 +122,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
 def bound_by_state(
     certainty: CertaintyEquivalentDesign, sigma: float, threshold: float, source: str
 ) -> tuple[Guarantee | None, tuple[str, ...]]:
-    """Return the guarantee of a trigger with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note without a bound."""
+    """Return the guarantee of a trigger with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate). If none is proved, a note says why."""
     # With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least
     # q|x̂|² + tr(QΣ) with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1,
     # J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a sampled plant, tr(QΣ) includes the inter-sample noise cost
@@ -123,18 +130,19 @@ def bound_by_state(
     problem = certainty.problem
     if problem.source is not None and problem.source.exosystem is not None:
         raise ProblemError(
-            "disturbances or set-points are given, and the trigger compares the error with the size of the state, "
-            "which grows with them; expected a trigger with a constant threshold, such as excess or absolute"
+            "disturbances or set-points are given, but the trigger compares the error with the size of the state, "
+            "which grows with disturbances and set-points; expected a trigger with a constant threshold, such as "
+            "that of the policy kind 'excess' or 'absolute'"
         )
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
     least = problem.Q - problem.N @ np.linalg.pinv(problem.R, hermitian=True) @ problem.N.T
     q = least_eigenvalue(symmetrised(least[np.ix_(~problem.registers, ~problem.registers)]))
     if q <= 0:
-        return None, ("no bound is known: Q − NR^{-1}N' is not positive definite",) if sigma else ()
+        return None, ("no guarantee is known: Q − NR^{-1}N' is not positive definite",) if sigma else ()
     share = sigma**2 * mu / q
     if share >= 1:
         limit = np.sqrt(q / mu)
-        return None, (f"no bound is known: sigma is {sigma:g}, and the proof requires sigma < {limit:.4g}",)
+        return None, (f"no guarantee is known: sigma is {sigma:g}, and the proof requires sigma < {limit:.4g}",)
     base = (certainty.cost_all_time - share * certainty.estimation_cost) / (1 - share)
     per_silence = mu * threshold**2 / (1 - share)
     unseen, noise = "tr(QΣ)", ""
@@ -153,7 +161,7 @@ def bound_by_state(
 
 
 def bound_by_errors(problem: Discrete, base: float, errors: Mapping[str, ErrorGain]) -> Guarantee:
-    """Return the bound √J ≤ √J_b + Σγ_lΔ_l, for the cost J_b of the same controller with every sample."""
+    """Return the bound √J ≤ √J_b + Σγ_lΔ_l, where J_b is the cost of the same controller with every sample sent."""
     added = sum(one.gain * one.largest for one in errors.values())
     return Guarantee(
         problem.per_unit((sqrt(base) + added) ** 2),
@@ -173,7 +181,7 @@ def bound_by_attempts(
     lossy: bool,
     lqg: bool = False,
 ) -> Guarantee:
-    """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step."""
+    """Return the bound J ≤ J_b + δ(a_b − a): the policy attempts a sends per step, and the base loop a_b."""
     cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
     name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {ordinal(every)} step")
     base_of = f"{name} the cost of {'LQG' if lqg else 'this controller'} with {word} at {at}"

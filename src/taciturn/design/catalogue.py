@@ -1,4 +1,4 @@
-"""Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
+"""Catalogue of all policy kinds: those of Taciturn in the folder ``kinds``, and those of other installed packages.
 
 A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
 value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
@@ -22,7 +22,7 @@ GROUP = "taciturn.kinds"
 
 
 class Catalogue(Mapping[str, "Kind"]):
-    """The policy kinds by name; an iteration gives the names, and imports no kind."""
+    """All policy kinds by name. A kind is imported only when it is used."""
 
     def __iter__(self) -> Iterator[str]:
         """Return the names: those of this package, then those of other packages, each in alphabetical order."""
@@ -47,7 +47,7 @@ CATALOGUE: Mapping[str, Kind] = Catalogue()
 
 @cache
 def own_kinds() -> tuple[str, ...]:
-    """Return the names of the kinds of this wheel: the files of the folder ``kinds``, and those of its packages."""
+    """Return the names of Taciturn's own policy kinds, without those of other packages."""
     registered = {name for name, found in find_plugins(GROUP).items() if any(map(in_this_wheel, found))}
     return tuple(sorted(registered | _kinds_in_files()))
 
@@ -69,16 +69,16 @@ def _kind(name: str) -> Kind:
         entries = (EntryPoint(name, f"taciturn.design.kinds.{name.replace('-', '_')}:KIND", GROUP), *entries)
     if len(entries) > 1:
         raise ProblemError(
-            f"the policy kind {name} is registered by {' and by '.join(map(package_of, entries))}; expected one kind "
-            "of this name: rename the kind, or remove a package"
+            f"the policy kind {name!r} is registered by {' and by '.join(map(package_of, entries))}; expected only "
+            "one kind with this name: rename one of the kinds, or remove one of the packages"
         )
     if not entries:
         raise KeyError(name)
-    found = load_entry(entries[0], f"the policy kind {name}")
+    found = load_entry(entries[0], f"the policy kind {name!r}")
     if not isinstance(found, Kind) or found.name != name:
         got = f"the kind {found.name}" if isinstance(found, Kind) else f"a {type(found).__name__}"
         raise ProblemError(
-            f"the policy kind {name} needs {entries[0].value} of {package_of(entries[0])}, which is {got}; expected a "
-            f"Kind with the name {name}"
+            f"the policy kind {name!r} needs the object {entries[0].value} of {package_of(entries[0])}, which is "
+            f"{got}; expected an object of the class Kind with the name {name!r}"
         )
     return found

@@ -1,4 +1,4 @@
-"""The record of a policy kind: its design function, and all that the library and its pages say about the kind.
+"""The record of a policy kind: its design function, and all data that commands and pages show of the kind.
 
 The record also says which networks a kind takes, and is the only place that decides this: whether links may drop or
 delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network.
@@ -52,12 +52,13 @@ PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
 FollowedClass = Literal["constant", "changing"]
 REPAIR = "; expected a policy of this kind, or a ProblemError: repair or remove the package"
+IN_PYTHON = ("plants",)  # arguments that no file can state
 ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps")
 
 
 @dataclass(frozen=True, repr=False)
 class TradeoffParameter(Displayed):
-    """The main parameter of a policy kind, by which the cost of the policy is traded against its send rate."""
+    """The main tuning parameter of a policy kind, which trades cost against send rate."""
 
     name: str  # key of ``[policy]``; if several of the kind's parameters are given, the first is varied
     link: str | None = None  # the link whose rate the parameter changes; default the only link that the policy decides
@@ -67,10 +68,16 @@ class TradeoffParameter(Displayed):
     continuous: bool | None = None  # whether it applies to continuous-time plants
     cycles: bool = False  # whether the parameter may also be a list of integers; the exact costs select the best list
 
+    def value_in(self, given: Mapping[str, object]) -> float:
+        """Return the given value of this parameter. If it is missing or out of range, return a default value."""
+        value = given.get(self.name)
+        usual = max(self.least, 1) if self.whole else self.least + 1.0
+        return value if isinstance(value, int | float) and value > self.least else usual
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Kind(Displayed):
-    """A policy kind. The parameters of the kind are the keyword-only arguments of its design function.
+    """A policy kind. Its parameters are the keyword-only arguments of its design function.
 
     The docstring of the design function describes the kind, its parameters (``Args``) and its sources (``Source``).
 
@@ -121,7 +128,7 @@ class Kind(Displayed):
     plants: tuple[PlantClass, ...] = ANY_PLANT
     costs: tuple[CostClass, ...] = ("average",)
     follows: tuple[FollowedClass, ...] = ("constant", "changing")
-    proved: str = "no bound"
+    proved: str = "no guarantee"
     relative_to: str = "—"
     refused: str = ""
     data: str = "—"
@@ -143,12 +150,12 @@ class Kind(Displayed):
         """Check the name."""
         if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", self.name):
             raise ProblemError(
-                f"the name of the policy kind is {self.name!r}; expected small letters and digits, with hyphens "
+                f"the name of the policy kind is {self.name!r}; expected lower-case letters and digits, with hyphens "
                 "between words"
             )
 
     def summary(self) -> Mapping[str, object]:
-        """Return the name, the goal and the parameters of the kind."""
+        """Return the values to display: name, goal and parameters of the kind."""
         return {"name": self.name, "goal": self.goal, "parameters": tuple(self.parameters)}
 
     def short(self) -> str:
@@ -162,38 +169,39 @@ class Kind(Displayed):
 
     @cached_property
     def parameters(self) -> Mapping[str, inspect.Parameter]:
-        """The parameters of the kind: the keyword-only arguments except those that files state in other tables."""
+        """Names of the kind's parameters in ``[policy]``: the keyword-only arguments that no other table states."""
         given = self.arguments.items()
-        return {name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in self.tables}
+        apart = (*self.tables, *IN_PYTHON)
+        return {name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in apart}
 
     @cached_property
     def tables(self) -> tuple[str, ...]:
-        """The arguments that files state in tables of their own: network, reference, and a controller to keep."""
+        """Arguments that have tables of their own in problem files, such as ``network`` or ``controller``."""
         names = ("network", "reference", *(("controller",) if self.keeps_controller else ()))
         return tuple(name for name in names if name in self.arguments)
 
     @property
     def identity(self) -> str:
-        """The place of the design function, and outside of this package a digest of its code, for stored results."""
+        """Identifier of the design function in stored results: module, name and, for other packages, a code digest."""
         return self._place if self.in_house else f"{self._place} {code_digest(self.design.__module__)}"
 
     @property
     def remedy(self) -> str:
-        """The remedy in the message that the kind has no tuning parameter."""
+        """The remedy in an error message if the policy kind has no tuning parameter."""
         return "another policy kind, such as lqg"
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
-        """The types of the arguments of the design function by name."""
+        """Type annotations of all arguments of the design function, by name."""
         return get_type_hints(self.design)
 
     @property
     def takes_losses(self) -> bool:
-        """True if the design is for links that drop or delay packets."""
+        """True if the design function accepts links that drop or delay packets."""
         return "network" in self.tables and not self.ideal_links
 
     def network_for(self, network: Network | None) -> Network:
-        """Return the network for which the design computes: the given one, or the usual nodes with its links.
+        """Return the network that the design function receives: the given one, or the default nodes with its links.
 
         Args:
             network: the given network; None for ideal links between the usual nodes.
@@ -207,16 +215,18 @@ class Kind(Displayed):
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
             raise PlacementError(
-                f"{network.losing} is given, which {self.name} does not use; expected ideal links: remove it "
-                "(`taciturn network FILE --loss P` drops packets of policies of any kind)"
+                f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
+                f"remove {network.losing} (`taciturn network FILE --loss P` drops packets of any policy kind)"
             )
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
-            raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
+            raise ProblemError(
+                f"network.delay is {network.delay}; expected a delay of {few} steps with the policy kind {self.name}"
+            )
         return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
 
     def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy for a plant, a cost, a network and further arguments of the design function.
+        """Design a policy of this kind for a plant, a cost, a network and the given parameters.
 
         Raises:
             ProblemError: the record does not list the class of the plant or of the cost or a property of the network,
@@ -226,7 +236,7 @@ class Kind(Displayed):
         return _on(self, network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
 
     def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy of the design function for all its arguments, with a check of what it returns."""
+        """Call the design function with all its arguments, and check that it returns a valid policy."""
         design = f"the design function {self._place} of the policy kind {self.name}"
         unlisted = None if self.in_house else self._unlisted(plant, cost)  # the designs of this package check
         try:
@@ -245,7 +255,7 @@ class Kind(Displayed):
 
     @property
     def in_house(self) -> bool:
-        """True if the design function belongs to this wheel."""
+        """True if the design function belongs to a package of the Taciturn project."""
         registered = find_plugins("taciturn.kinds").get(self.name, ())
         return self.design.__module__.startswith("taciturn.") or any(map(in_this_wheel, registered))
 
@@ -272,20 +282,23 @@ class Kind(Displayed):
 
     @property
     def about(self) -> str:
-        """The first sentence of the docstring of the design function, as a phrase."""
+        """The first line of the design function's docstring, which describes the kind in one phrase."""
         return self._text.partition("\n")[0].removeprefix("Design ").rstrip(".:")
 
     @cached_property
     def notes(self) -> Mapping[str, str]:
-        """The description of each argument, from the docstring of the design function."""
+        """The descriptions of the design function's arguments, from its docstring."""
         section = re.search(r"\nArgs:\n(.*?)\n\n", self._text, re.DOTALL)
         text = section[1] + "\n" if section else ""
         found = re.findall(r"^    (\w+): (.*?)(?=^    \w+:|\Z)", text, re.M | re.S)
-        return {name: " ".join(note.replace("`", "").split()).rstrip(".") for name, note in found}
+        plain = ((name, " ".join(note.replace("`", "").split())) for name, note in found)
+        return {
+            name: re.sub(r"(; or|\.)$", "", note) for name, note in plain
+        }  # the next argument may be an alternative
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The keys of ``docs/sources.bib`` in the docstring of the design function."""
+        """Keys in ``docs/sources.bib`` of the sources that the design function's docstring cites."""
         found = re.search(r"Source:\s*(.+)", self._text)
         return tuple(re.split(r"[,;]\s*", found[1].strip())) if found else ()
 
@@ -296,7 +309,7 @@ class Kind(Displayed):
 
 @cache
 def code_digest(module: str) -> str:
-    """Return a digest of the Python files of the package that contains a module, or of its own file."""
+    """Return a digest of the Python files of a module's package, or of its file if it is in no package."""
     top = sys.modules[module.partition(".")[0]]
     paths = [Path(folder) for folder in getattr(top, "__path__", [])]
     files = [file for path in paths for file in sorted(path.rglob("*.py"))] or [Path(top.__file__ or "")]
@@ -311,7 +324,7 @@ Value = TypeVar("Value")
 
 
 def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
-    """Return a design function for the nodes of its kind as one that takes every network, as problems do."""
+    """Wrap a design function for the default nodes, so that it also accepts a network with other nodes."""
 
     @wraps(design)
     def made(*args: P.args, **named: P.kwargs) -> Policy:
@@ -336,14 +349,14 @@ def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPoli
         return placed(policy, network)
     if known.nodes != network.nodes:
         raise ProblemError(
-            f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
-            "[network], or no network"
+            f"the policy {policy.kind} has no sampling steps that nodes could run, but the network has nodes with "
+            "names of your own; expected [network], or no network"
         )
     return policy
 
 
 def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
-    """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
+    """Return a network of the default nodes, whose links have the properties of the links of the given network."""
     # without the limits on the intervals between sends, which ``placed`` adds to the policy
     if not network.own_nodes:
         return network.unlimited
@@ -354,8 +367,8 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
             expect_ideal_sets(network, kind, at)
         elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
             raise PlacementError(
-                f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
-                "all of these, or nodes at the controller's place (site)"
+                f"the policy kind {kind} has only one {name} node, but the network has {' and '.join(nodes)}; expected "
+                f"a single {name} node in place of these, or nodes at the controller's site (key 'site')"
             )
         if at:
             links[name] = network.links[at[0]]
@@ -364,7 +377,7 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
 
 
 def placed(policy: Policy, network: Network) -> Policy:
-    """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
+    """Convert a policy of one sensor, one controller and one actuator to the nodes of a given network.
 
     The decisions keep the network's limits on the intervals between sends.
     """
@@ -412,17 +425,17 @@ def placed(policy: Policy, network: Network) -> Policy:
 
 
 def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
-    """Raise an error if a node is at the controller's place in a policy or in the network, but not in both."""
+    """Raise an error if policy and network differ on whether a node is at the controller's site."""
     wired = node not in network.links
     if together and not wired:
         raise PlacementError(
-            f"the {role} of {kind} is at the controller's place, but {node} has a link; expected "
-            f'nodes.{node}.site = "{network.controller}"'
+            f"the {role} of the policy kind {kind} is at the controller's site, but the node {node!r} has a link; "
+            f'expected nodes.{node}.site = "{network.controller}"'
         )
     if wired and not together:
         raise PlacementError(
-            f"{kind} uses a link between {role} and controller, but {node} is at the controller's place; "
-            f"expected {node} at another place"
+            f"the policy kind {kind} uses a link between {role} and controller, but the node {node!r} is at the "
+            f"controller's site; expected the node {node!r} at another site"
         )
 
 

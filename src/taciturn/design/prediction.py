@@ -1,4 +1,4 @@
-"""Policies whose actuator runs a model of the loop, and which send by a function of the model's error.
+"""Policies whose actuator predicts the loop with a model, and which send when the prediction error is large.
 
 The model predicts the state x̂ from the last packet, and the input is Lx̂. A send resets the error e = x − x̂, which then
 grows with the dynamics of the plant and the noise until the next send. So the intervals between sends are independent
@@ -44,7 +44,7 @@ ERROR = "error"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predicted(Displayed):
-    """Common design data of policies that check the prediction error every τ seconds."""
+    """The design data that all policies share which check the prediction error every τ seconds."""
 
     problem: Discrete  # the discrete-time problem between checks; its input is the state of the model
     prediction: Prediction  # the model of the actuator
@@ -54,13 +54,13 @@ class Predicted(Displayed):
 
     @property
     def reset(self) -> Reset:
-        """The prediction error, which a send resets to zero."""
+        """Model of the prediction error, which each send resets to zero."""
         square = self.Gamma / self.problem.tick
         return Reset(self.problem.plant.W, {ERROR: np.eye(len(self.Gamma))}, square)
 
 
 def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> Predicted:
-    """Return the design data of a policy whose sensor checks the prediction error every τ seconds."""
+    """Compute the design data of a policy that checks a continuous-time plant's prediction error every τ seconds."""
     plant = refuse_what_is_not_predicted(kind, plant, cost)
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     prediction = Prediction.of(plant, price.L)
@@ -72,7 +72,7 @@ def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, 
 def predicted_policy(
     kind: str, predicted: Predicted, rule: Trigger, guarantee: Guarantee | None = None, notes: tuple[str, ...] = ()
 ) -> Policy:
-    """Return a policy whose sensor decides whether to send by a given trigger on the prediction error."""
+    """Return the policy whose sensor decides with the given trigger, which reads the prediction error, when to send."""
     problem, base = predicted.problem, predicted.cost_all_time
     closed = problem.plant.A + problem.plant.B
     return Policy(
@@ -98,25 +98,26 @@ def predicted_policy(
 
 
 def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
-    """Return the plant if sensor and actuator can predict its state in continuous time; otherwise raise an error."""
+    """Raise an error unless sensor and actuator can predict the state of a continuous-time plant; return the plant."""
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
     if isinstance(plant, Plant):
         raise ProblemError(
-            f"the plant is discrete in time, but {kind} predicts in continuous time; "
-            "expected a continuous plant: without dt (plant.dt in a file), with A, B and W per second"
+            f"the plant is discrete in time, but the policy kind {kind} predicts in continuous time; expected a plant "
+            "that is continuous in time: omit dt (plant.dt in a file), and give A, B and W per second"
         )
     if not plant.full_state:
         raise ProblemError(
-            f"C or V is given, but {kind} measures the full state; expected neither C nor V: remove them"
+            f"C or V is given, but the policy kind {kind} measures the full state; expected neither C nor V: remove "
+            "them"
         )
     expect_average(kind, cost)
     return plant
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the policy steps of a sensor and an actuator that predict the state, with a trigger on their error."""
+    """Return the policy steps of a sensor and an actuator that predict the state, and send when the error is large."""
     unit = np.eye(len(closed))
     return (
         Assign("sensor", ERROR, {"y": unit, "prediction": -unit}),
@@ -137,7 +138,7 @@ def modelled(
     period: float | None,
     silence: Callable[[Discrete, Reset], Form],
 ) -> Policy:
-    """Return a policy whose actuator runs a model, and which sends if a function of the model's error is positive."""
+    """Return the policy whose actuator runs a model, and which sends if a function of the model's error is positive."""
     if isinstance(plant, ContinuousPlant) and plant.full_state:
         found = predict_continuously(kind, plant, cost, period)
         rule = Trigger({"silent": silence(found.problem, found.reset), SEND: Form()})
@@ -148,8 +149,8 @@ def modelled(
     if reset is None:
         noise = "the plant has jumps" if problem.jumps else "the set-points change (reference.steps or file)"
         raise ProblemError(
-            f"{noise} and C or V is given, so successive estimation errors are dependent; "
-            "expected Gaussian noise and constant set-points, or neither C nor V"
+            f"{noise}, and C or V is given, so successive estimation errors are dependent; expected Gaussian noise and "
+            "constant set-points, or neither C nor V"
         )
     rule = Trigger({"silent": silence(problem, reset), SEND: Form()})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, "model", rule)

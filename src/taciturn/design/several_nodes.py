@@ -1,4 +1,4 @@
-"""Several sensors and several actuators: contributions to one estimate, and decisions on sets of links.
+"""Several sensors and actuators: the estimate as a sum of the sensors' contributions, and decisions on sets of links.
 
 **Sensors** (``ContributionSteps``). The Kalman filter of several sensors is a sum of contributions, one from each
 sensor and one from the inputs. With Ω = (I − GC)A, the estimate is x̂ = ξ⁰ + Σ ξˢ, ξˢ⁺ = Ωξˢ + G_s y_s at sensor s, and
@@ -49,7 +49,7 @@ SHOWN = 1e-6  # relative size of the effect of a disturbance on outputs that cou
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ContributionSteps(Displayed):
-    """The policy steps of sensors that decide when to send their contribution, and of the controller that adds them."""
+    """Policy steps of sensors that send contributions to the state estimate, and of a controller that adds them."""
 
     certainty: CertaintyEquivalentDesign  # regulator and filter of all measurements
     network: Network  # the nodes and links; a sensor without a link is at the controller's place
@@ -59,11 +59,13 @@ class ContributionSteps(Displayed):
     thresholds: Mapping[tuple[str, ...], float]  # δ_l by group of links that are decided together
 
     def measure(self) -> tuple[Step, ...]:
-        """Return the steps of the sensors."""
+        """Return the policy steps of all sensors that send over a link."""
         return tuple(step for node in self._remote for step in self._sensor(node))
 
     def add(self) -> tuple[Step, ...]:
-        """Return the steps by which the controller adds its copies to ``state``, the estimate that it acts on."""
+        """Return the policy steps with which the controller adds the contributions of the sensors to its estimate
+        ``state``.
+        """
         at, n = self.network.controller, np.eye(self._plant.states)
         local = {signal: gain for node, (signal, gain, _) in self._sensors.items() if node not in self._remote}
         return (
@@ -73,30 +75,30 @@ class ContributionSteps(Displayed):
         )
 
     def predict(self, held: Mapping[str, Array]) -> tuple[Step, ...]:
-        """Return the steps after all inputs are known, as a sum ``held`` of the controller's signals."""
+        """Return the policy step that predicts the part of the state that the applied input ``held`` causes."""
         moved = {name: self._plant.B @ columns for name, columns in held.items()}
         return (Assign(self.network.controller, "prior", {"own": self._plant.A, **moved}),)
 
     @property
     def apart(self) -> Apart:
-        """The sensors that filter at another place than the controller."""
+        """The filters of the sensors that are not at the controller's site."""
         return Apart([self._sensors[node][2] for node in self._remote], self._left, self._left @ self._plant.A)
 
     @property
     def initial(self) -> dict[str, Array]:
-        """The initial values of the memories: models start at the mean of the initial state, as the estimate."""
+        """Initial values of the stored signals. The models start at the mean of the initial state."""
         mean = self._plant.mean
         models = ("local", "copy_model", "used_model") if self.prediction == "model" and mean.any() else ()
         return {"prior": mean, **{f"{name}_{node}": mean for name in models for node in self._remote}}
 
     @property
     def estimate(self) -> Terms:
-        """The estimate of the filter of all measurements, as a sum of signals of all nodes."""
+        """The estimate from the measurements of all sensors, as a sum of signals of all nodes."""
         n = np.eye(self._plant.states)
         return {"own": n, **{f"part_{node}": n for node in self._remote}}
 
     def innovations(self) -> Innovations:
-        """Return the white innovations of the filter of all measurements, which no node computes."""
+        """Return the innovations of a filter of all measurements, which are white. They exist only in the theory."""
         steady, C = self.certainty.filter, self._plant.C
         predicted = {"prior": C, **{f"part_{node}": C @ self._plant.A for node in self._remote}}
         return Innovations(None, steady.innovation, ESTIMATE, steady.posterior, predicted)
@@ -118,7 +120,7 @@ class ContributionSteps(Displayed):
 
     @cached_property
     def _left(self) -> Array:
-        """The factor I − GC from the prior estimate to the posterior one."""
+        """The factor I − GC from the prior estimate to the posterior estimate."""
         return np.eye(self._plant.states) - self.certainty.filter.gain @ self._plant.C
 
     def _sensor(self, node: str) -> tuple[Step, ...]:
@@ -207,23 +209,23 @@ class ContributionSteps(Displayed):
 
 
 def closed_loop(certainty: CertaintyEquivalentDesign) -> Array:
-    """Return the matrix A + BL of the loop that sends every sample."""
+    """Return the closed-loop matrix A + BL of the loop that sends every sample."""
     return certainty.problem.plant.A + certainty.problem.plant.B @ certainty.regulator.L
 
 
 def known(network: Network, link: str, on: str) -> Condition:
-    """Return the condition by which the sender knows whether the receiver has its packet."""
+    """Return the condition that shows a sender whether its packet arrived: an acknowledgement, or its own decision."""
     return Acknowledged(link) if network.acknowledges(link) else on
 
 
 def decision(group: tuple[str, ...]) -> str:
-    """Return the name of the decision on a group of links."""
+    """Return the name of the joint decision on a group of links."""
     return "_".join((SEND, *group))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InputSteps(Displayed):
-    """The policy steps from the estimate ``state`` at the controller to the inputs of the actuators.
+    """Policy steps that compute the applied inputs from the signal ``state``, the controller's estimate.
 
     In the names of signals, ``held`` is the controller's copy of the input that an actuator applies, and ``error`` the
     difference between the input in silence and the command Lx̃.
@@ -237,7 +239,7 @@ class InputSteps(Displayed):
     thresholds: Mapping[tuple[str, ...], float]  # δ_l by group of links that are decided together
 
     def decide(self) -> tuple[Step, ...]:
-        """Return the steps of the controller's decisions, and of the actuators."""
+        """Return the policy steps of the controller's decisions, and those of the actuators."""
         groups = [group for group in self.thresholds if not self._linked.isdisjoint(group)]
         commands = [step for node in self._actuators for step in self._command(node)]
         sends = [self._send(node, group) for group in groups for node in group]
@@ -251,7 +253,7 @@ class InputSteps(Displayed):
 
     @property
     def held(self) -> Mapping[str, Array]:
-        """The input of the plant as a sum of signals at the controller."""
+        """The applied input of the plant, as a sum of signals of the controller."""
         unit = np.eye(self.certainty.problem.plant.inputs)
         return {f"held_{node}": unit[:, rows] for node, (_, rows) in self._actuators.items()}
 
@@ -329,18 +331,18 @@ class InputSteps(Displayed):
 
 
 def sets_of(links: tuple[str, ...], worth: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of links that send, the cheapest first: the order of a trigger's labels."""
+    """Return all sets of links that may send. The cheapest set comes first, in the order of a trigger's labels."""
     sets = chain.from_iterable(combinations(links, size) for size in range(len(links) + 1))
     return tuple(sorted(sets, key=lambda sent: sum(worth[link] for link in sent)))
 
 
 def label(sent: Sequence[str]) -> str:
-    """Return the label of a set of links."""
+    """Return the label with which a decision selects the given set of links to send."""
     return " and ".join(sent) or SILENT
 
 
 def actuators_of(network: Network, plant: Plant) -> dict[str, tuple[str, list[int]]]:
-    """Return the signal and the indices of the inputs that each actuator applies, by node."""
+    """Return, for each actuator, the signal that it applies and the indices of its inputs."""
     found = network.applications(plant.inputs)
     return {node: (signal, [*rows]) for signal, (node, rows) in found.items()}
 
@@ -350,60 +352,65 @@ ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
 
 
 def decides_on_sets(network: Network) -> bool:
-    """Return whether the actuators have several links, or some of them have a link and others have none."""
+    """Return whether a decision on sets is needed: several actuators have links, or some have one and others none."""
     linked = [node for node in network.actuators if node in network.links]
     return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
 
 
 def expect_ideal_sets(network: Network, kind: str, links: Sequence[str]) -> None:
-    """Raise a ``PlacementError`` if one of the links whose sets the controller decides on drops packets."""
+    """Raise a ``PlacementError`` if the controller would decide on sets that contain a link that drops packets."""
     for link in (link for link in links if not network.links[link].ideal):
         law = network.links[link]
         name = "burst" if law.burst is not None else "loss" if law.loss else "acknowledged"
+        got = f"{law.loss}" if name == "loss" else "given"
         raise PlacementError(
-            f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
-            f"{', '.join(links)}; expected ideal links"
+            f"{network.key(link, name)} is {got}, but the controller of the policy kind {kind} chooses among sets of "
+            f"the links {', '.join(links)}; expected ideal links"
         )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointSets(Displayed):
-    """The sets of links of a network, and the steps of a policy for each set."""
+    """The sets of actuator links that may send at the same time, and the policy steps that decide among these sets."""
 
     policy: Policy  # a policy of a sensor, a controller and an actuator
     network: Network  # the nodes and links. The steps may have the names of its nodes, the actuator that of any of them
 
     @cached_property
     def actuators(self) -> Mapping[str, tuple[str, list[int]]]:
-        """The signal and the indices of the inputs that an actuator applies, by node."""
+        """For each actuator, the signal that it applies and the indices of its inputs."""
         return actuators_of(self.network, self.policy.model)
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """The actuators with a link."""
+        """Names of the actuators that receive their inputs over a link."""
         return tuple(node for node in self.actuators if node in self.network.links)
 
     @cached_property
     def weights(self) -> Mapping[str, float]:
-        """The share of each link in the price of a packet on every link."""
+        """Price of a packet on each link, divided by the sum of these prices over all links."""
         prices = {link: self.network.links[link].price for link in self.links}
         return {link: price / sum(prices.values()) for link, price in prices.items()}
 
     @cached_property
     def all(self) -> tuple[tuple[str, ...], ...]:
-        """The sets of links that send, the cheapest first, and that of all links last."""
+        """All sets of links that may send, the cheapest set first. The last set contains all links."""
         return sets_of(self.links, self.weights)
 
     @cached_property
     def decision(self) -> str:
-        """The name of the decision on the actuator link; empty if there is none with two options."""
+        """Name of the decision whether to send to the actuator; empty if the policy has no such decision with two
+        labels.
+        """
         on = [step.on for step in self.policy.steps if isinstance(step, Send)]
         made = [step for step in self.policy.steps if isinstance(step, Decide) and [step.decision] == on]
         return made[0].decision if len(made) == 1 and len(made[0].trigger.options) == 2 else ""
 
     @cached_property
     def partial(self) -> frozenset[str]:
-        """The signals whose value depends on the set: error and candidate, and forms of them."""
+        """Names of the signals that depend on the set of links: ``error``, ``candidate``, and forms that read one of
+        these.
+        """
         found = {ERROR, CANDIDATE}
         for step in self.policy.steps:
             if isinstance(step, Evaluate) and any(found.intersection(form.reads) for form in step.forms):
@@ -412,7 +419,7 @@ class JointSets(Displayed):
 
     @cached_property
     def greedy(self) -> bool:
-        """True if silence costs nothing without an error."""
+        """True if not sending costs nothing while the error is zero."""
         silent = next(
             next(iter(step.trigger.options.values()))
             for step in self.policy.steps
@@ -431,51 +438,53 @@ class JointSets(Displayed):
         return not weighed and not np.any(constant) and form.bell is None and self.partial.issuperset(form.plus)
 
     def check(self) -> None:
-        """Raise an error if the controller cannot decide on sets of actuator links."""
+        """Raise an error if the controller of this policy cannot decide which set of actuator links sends."""
         kind, listed = self.policy.kind, ", ".join(self.links)
         sends = [step for step in self.policy.steps if isinstance(step, Send)]
         if len(self.links) > MOST_LINKS:
             raise PlacementError(
-                f"{kind} decides on the {2 ** len(self.links)} sets of {len(self.links)} actuator links; expected at "
-                f"most {MOST_LINKS} links"
+                f"the policy kind {kind} chooses among the {2 ** len(self.links)} sets of {len(self.links)} actuator "
+                f"links; expected at most {MOST_LINKS} actuator links"
             )
         if any(step.payload != (COMMAND,) for step in sends):
             raise PlacementError(
-                f"the packets of {kind} carry more than the input, and several links ({listed}) decide; expected "
-                "actuators that hold their input (actuation = 'hold')"
+                f"the packets of the policy kind {kind} carry more than the input, but the controller chooses among "
+                f"several links ({listed}); expected actuators that hold their input (actuation = 'hold')"
             )
         if len(sends) != 1 or not self.decision:
             raise PlacementError(
-                f"{kind} has no single decision on its actuator link, and several links ({listed}) decide; expected "
-                "one actuator link"
+                f"the policy kind {kind} has no single send decision on its actuator link, but several links "
+                f"({listed}) need decisions; expected one actuator link"
             )
         identity = self.policy.theory.identity
         if identity is not None and len(identity.forms) > 1 and _weighs(identity.forms[1]):
             raise PlacementError(
-                f"the base of {kind} sends at some steps only, and several links ({listed}) decide; expected "
-                "every = 1, or one actuator link"
+                f"the base policy of the policy kind {kind} sends only at some steps, but the controller chooses among "
+                f"several links ({listed}); expected every = 1, or one actuator link"
             )
 
     def named(self, signal: str, sent: Sequence[str]) -> str:
-        """Return the name of a signal if a set sends; the value without any packet keeps its name."""
+        """Return the name of a signal's value for the case that a set of links sends. For the empty set, it is
+        unchanged.
+        """
         differs = signal in self.partial and (sent or len(self.links) < len(self.actuators))
         return f"{signal} if {label(sent)}" if differs else signal
 
     def form(self, form: Form, sent: Sequence[str]) -> Form:
-        """Return the form of the error that remains if a set sends."""
+        """Return a form for the case that a set of links sends: it reads the error that remains after these sends."""
         signals = tuple(self.named(name, sent) for name in form.signals)
         plus = {self.named(name, sent): weight for name, weight in form.plus.items()}
         return Form(signals, form.Psi, form.constant, plus, form.bell)
 
     def silent(self, sent: Sequence[str]) -> Array:
-        """Return the matrix that selects the inputs of silent links, (m, m)."""
+        """Return the diagonal matrix, (m, m), that selects the inputs of the links that do not send."""
         found = np.zeros(self.policy.model.inputs)
         for link in self.links:
             found[self.actuators[link][1]] = link not in sent
         return np.diag(found)
 
     def of(self, step: Step) -> tuple[Step, ...]:
-        """Return the steps that replace a step of the policy."""
+        """Replace a policy step by those steps that treat, one by one, the sets of links that may send."""
         if isinstance(step, Decide) and step.decision == self.decision:
             return (replace(step, trigger=self._trigger(step.trigger)),)
         if isinstance(step, Send):
@@ -496,7 +505,7 @@ class JointSets(Displayed):
         return (step, *self._errors(step)) if step.signal == ERROR else (step,)
 
     def theory(self, theory: Theory) -> Theory:
-        """Return the theory of the policy that decides on sets of links."""
+        """Convert the theory of the policy, in which one link decides, to decisions on sets of links."""
         identity, guarantee = theory.identity, theory.guarantee
         if identity is not None and identity.on is not None:
             forms = (*(self.form(identity.forms[0], sent) for sent in self.all[:-1]), Form())
@@ -513,7 +522,10 @@ class JointSets(Displayed):
         limit = price.constant
         if not self.greedy:
             if isinstance(limit, Scheduled):
-                raise ProblemError(f"{self.policy.kind} decides by the {limit.by}; expected one actuator link")
+                raise ProblemError(
+                    f"the threshold of the policy {self.policy.kind} depends on the {limit.by}; expected one actuator "
+                    "link"
+                )
             return Trigger({**options, last: Form()}, limit)
         for sent in self.all[1:-1]:
             share = sum(self.weights[link] for link in sent)

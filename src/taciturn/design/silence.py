@@ -1,4 +1,4 @@
-"""The rule "send when silence costs more", over a base that sends every sample or every q-th one.
+"""The rule "send when not sending costs more": relative to a base loop that sends every or every q-th sample.
 
 In each step, the node that decides, the controller or the sensor, estimates the state, follows the controller's state
 ``register``, and computes the difference ``error`` = e between the value that the receiver uses in silence and the
@@ -40,14 +40,11 @@ from taciturn.base.certainty import (
 )
 from taciturn.base.filter import DEVIATION, ESTIMATE, HELD, SEND, StepCounter, by_clock, estimate_state
 from taciturn.base.gains import price_control
-from taciturn.base.given_controller import (
-    GivenLoop,
-    SameControl,
-)
+from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import MEASURED, REGISTER, GivenRoute, nonempty, route_over
 from taciturn.base.route import Actuation as LoopActuation
-from taciturn.base.value import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
+from taciturn.base.value import Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -86,7 +83,7 @@ def send_for_given(
     retry: bool = False,
     lqg: Controller | None = None,
 ) -> Policy:
-    """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller."""
+    """Return the policy of a given controller that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements."""
     loop = GivenLoop.of(plant, cost, period, kept, lqg is not None)
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
@@ -96,26 +93,30 @@ def send_for_given(
     if copied and not average:
         why = "the link drops packets" if lossy else f"every is {every}"
         raise ProblemError(
-            f"actuation is 'model', {why}, and the cost is a total; expected an average cost, or 'hold': the receiver "
-            "keeps its last value"
+            f"actuation is 'model', {why}, and the cost has a horizon or a discount; expected an average cost, or "
+            "actuation = 'hold', with which the receiver keeps its last value"
         )
     steady = problem.filter()
     if retry and (not lossy or every > 1):
         why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
-        raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")
+        raise ProblemError(
+            f"retry = true, but {why}; expected a link that drops packets and acknowledges the packets that arrive, "
+            "and every = 1"
+        )
     start = loop.point.start
     measured = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
     route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, start, measured)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
-    attempts = _attempts(problem, route.base, time.pattern, chain, network.lost(link))
+    attempts = attempts_of(problem, route.base, time.pattern, chain, network.lost(link))
     found = advantage(route.base, loop.remedy, attempts)
-    base = all_time = _cost(problem, found, route)
+    base = all_time = cost_of_base(problem, found, route.start, route.begun)
     if every > 1:
         used = controller if lqg is None else lqg
         known = steady if copied and lossy else None  # without losses, no prediction is ever used
         always = route_over(link, problem, used, actuation, lossy, known, start)
-        all_time = _cost(problem, _every_sample(problem, always.base, loop.remedy, chain, network.lost(link)), always)
+        always_found = _every_sample(problem, always.base, loop.remedy, chain, network.lost(link))
+        all_time = cost_of_base(problem, always_found, always.start, always.begun)
     proved = None
     if every == 1 and not lossy:
         proved = controller_loop(problem, controller).cost()
@@ -183,7 +184,7 @@ def send_every_sample(
     kept: AnyController,
     link: str = "actuator",
 ) -> Policy:
-    """Return the loop of a given controller with a packet at every sample.
+    """Return the policy of a given controller that sends a packet at every sample.
 
     No node decides, so none needs a filter, and the plant need not be detectable.
     """
@@ -194,12 +195,14 @@ def send_every_sample(
     found, proved = _every_sample(problem, route.base, loop.remedy), controller_loop(problem, loop.controller).cost()
     always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
     steps = route.steps((always,))
-    nominal = loop.nominal(_cost(problem, found, route), found.settling, route.base if average else None, proved)
+    nominal = loop.nominal(
+        cost_of_base(problem, found, route.start, route.begun), found.settling, route.base if average else None, proved
+    )
     return nominal.policy(kind, steps, loop.point.begun(steps, route.initial), Theory(), sites=route.sites)
 
 
 def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:
-    """Return the policy that sends an input iff e'He > δ, with the gains and weights of each step."""
+    """Return the policy that sends an input iff e'He > δ, for a cost with a horizon or a discount."""
     prices, counter, plant = price_control(problem), StepCounter.of(problem, 1), problem.plant
     found = counter.filter
     errors, start = (np.zeros((1, *plant.W.shape)), None if problem.cost.horizon else 0)
@@ -217,55 +220,22 @@ def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: C
     return Nominal(problem, cost, 0.0).policy(kind, steps, initial, claims, locations=counter.locations)
 
 
-def _attempts(
-    problem: Discrete,
-    base: Base,
-    pattern: tuple[bool, ...],
-    chain: tuple[Array, Array] | None = None,
-    key: str = "loss",
-) -> Attempts:
-    """Return the attempts of the base over a link with the law ``chain``, with the weight of the final state."""
-    turns, losses = (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses) if chain is None else chain
-    cost, terminal = problem.cost, None
-    if cost.terminal is not None:
-        terminal = np.pad(cost.terminal, (0, len(base.Phi) - len(cost.terminal)))
-    return Attempts(pattern, turns, losses, cost.discount, terminal, key)
-
-
-def _cost(problem: Discrete, found: Advantage, route: GivenRoute) -> float:
-    """Return the cost of a base: per step, or in total with the mean of w'P w at the first step, w = (z, h).
-
-    There z contains the random state of the plant, the state with which the controller starts, and the first
-    measurement; h is the value with which the receiver starts. All are a mean plus what x − E x and the noise v add.
-    """
-    if not problem.cost.mission:
-        return found.cost
-    plant = problem.plant
-    mean = np.concatenate([plant.mean, route.start, plant.C @ plant.mean, route.begun])
-    state, noise = np.zeros((len(mean), plant.states)), np.zeros((len(mean), plant.outputs))
-    place = plant.states + len(route.start)
-    measured = slice(place, place + plant.outputs)
-    state[: plant.states], state[measured], noise[measured] = np.eye(plant.states), plant.C, np.eye(plant.outputs)
-    moment = np.outer(mean, mean) + state @ plant.covariance @ state.T + noise @ plant.V @ noise.T
-    return found.cost + float(np.sum(found.P * moment))
-
-
 def _every_sample(
     problem: Discrete, base: Base, remedy: str, chain: tuple[Array, Array] | None = None, key: str = "loss"
 ) -> Advantage:
     """Return the value of a base that attempts to send every sample."""
     pattern = (True,) * (problem.cost.horizon or 1)
-    return advantage(base, remedy, _attempts(problem, base, pattern, chain, key))
+    return advantage(base, remedy, attempts_of(problem, base, pattern, chain, key))
 
 
 def drops(network: Network, link: str) -> bool:
-    """Return whether a link drops packets and acknowledges those that arrive."""
+    """Return whether a link drops some packets, and acknowledges the packets that arrive."""
     return network.acknowledges(link) and network.loss(link) > 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Silence(Displayed):
-    """The cost of silence, and the policy steps that it needs."""
+    """The cost of not sending as a form of a trigger, and the policy steps that compute the signals of this form."""
 
     cost: Form  # the cost of silence, at the decision
     identity: tuple[Form, Form]  # the cost beyond that of the base, in a silent step and in a step with a packet
@@ -277,7 +247,7 @@ class Silence(Displayed):
 def cost_of_silence(
     found: Advantage, route: GivenRoute, attempts: Attempts, link: str, phases: Sequence[int], unit: float
 ) -> Silence:
-    """Return the cost of silence for the node that decides."""
+    """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it."""
     n = found.slope.shape[-1]
     none = np.zeros((*found.H.shape[:2], n, n))
     whole: Any = np.block([[found.H, found.slope], [found.slope.swapaxes(2, 3), none]])  # type: ignore[arg-type]
@@ -322,7 +292,7 @@ def cost_of_silence(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChannelBelief(Displayed):
-    """The update of the distribution of the channel state by the fate of an attempt, and by a step of the channel.
+    """Updates a node's probabilities of the channel states after each attempt to send, and predicts the next ones.
 
     After a fate that the law excludes, such as an acknowledgement that a fault has lost, it begins again at ``start``.
     """
@@ -354,7 +324,7 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
 
 
 def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, ...]:
-    """Return the policy steps that decide whether the innovations are as expected; they follow the filter's."""
+    """Return policy steps that check whether the innovations of a filter are larger than the model predicts."""
     entries = shape_of(covariance)[0]
     freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
     limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
@@ -392,7 +362,7 @@ def _at_limits(plant: Plant, controller: Controller, at: str) -> tuple[Step, ...
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Beyond(Displayed):
-    """The part of a command that an actuator with limits does not apply."""
+    """Computes the part of a command that exceeds the limits of the actuator, and so is not applied."""
 
     limits: Saturation
 
@@ -423,7 +393,7 @@ def relative_to_state(
     actuation: Actuation,
     source: str,
 ) -> Policy:
-    """Return the policy that sends when the squared error |e|² exceeds the threshold σ²|x̂|² + Y²."""
+    """Design the policy that sends when the squared error |e|² exceeds the threshold σ²|x̂|² + Y²."""
     sigma = number("sigma", sigma, 0.0, LARGEST_PARAMETER, closed=True)
     threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)

@@ -1,4 +1,4 @@
-"""Linear-quadratic-Gaussian control: functions that compute gains and covariances from given matrices.
+"""Linear-quadratic-Gaussian control: functions that compute gains, costs and covariances from given matrices.
 
 This package solves the classical part of every design, and does not depend on policies.
 

@@ -1,4 +1,4 @@
-"""Results that were computed before, for equal data: the points of a trade-off have the same plant and cost.
+"""A cache of results that are computed often with equal data, such as gains at the points of a trade-off curve.
 
 The key is the data itself, as bytes. Arguments hold no function of the user, of which only the name has bytes. Results
 are immutable, so everyone may have the same one.
@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 
 def remembered(compute: Callable[[*Args], Result], most: int = MOST) -> Callable[[*Args], Result]:
-    """Wrap a function of immutable data in a cache; arrays get one order of memory, on which rounding may depend."""
+    """Add a cache to a function. Its arrays get one memory order, so that equal data give equal rounding errors."""
     latest: dict[bytes, Result] = {}
     loose = cast("Callable[..., Result]", compute)
 

@@ -1,4 +1,4 @@
-"""Mean-square cost and growth of a loop over lossy links, and the critical losses of a plant, with proofs.
+"""Mean-square cost and growth of a loop over lossy links, and critical loss probabilities of a plant, with proofs.
 
 **Under a given gain** L, the cost-to-go has a weight K of the state and a weight P of the estimation error. One step of
 the loop is a linear map of the pairs (K, T), T = K + P:
@@ -66,7 +66,7 @@ Link: TypeAlias = Literal["actuator", "sensor"]
 
 @dataclass(frozen=True, repr=False)
 class Channel(Displayed):
-    """Properties of the lossy links that determine the optimal gains.
+    """The properties of lossy links that determine the optimal gains: loss probabilities, acknowledgements and delay.
 
     Args:
         actuator_loss: α, loss probability of the actuator link, in [0, 1].
@@ -83,27 +83,29 @@ class Channel(Displayed):
     keys: tuple[str, str] = field(default=("network.actuator_loss", "network.sensor_loss"), compare=False)
 
     def at(self, link: Literal["actuator", "sensor"], loss: float) -> Channel:
-        """Return these links with another loss of one of them."""
+        """Return the same properties with another loss probability of the link ``link``."""
         return replace(self, actuator_loss=loss) if link == "actuator" else replace(self, sensor_loss=loss)
 
     @property
     def exposure(self) -> float:
-        """Probability φ that an estimation error affects the next input: the sensor loss, or 1 if there is a delay."""
+        """Probability φ that the controller's next input depends on an estimation error: the sensor loss, or 1 with a
+        delay.
+        """
         return 1.0 if self.delayed else self.sensor_loss
 
     @property
     def reach(self) -> float:
-        """Probability that an error that an unacknowledged input makes still persists at the next control."""
+        """Probability that the estimation error due to an unacknowledged input persists until the next input."""
         return 0.0 if self.acknowledged else self.exposure
 
     @property
     def coupling(self) -> float:
-        """Factor αφ by which an unacknowledged input adds to the estimation error; 0 with acknowledgements."""
+        """Factor αφ with which an unacknowledged input adds to the estimation error; 0 with acknowledgements."""
         return self.actuator_loss * self.reach
 
 
 class MeanSquare:
-    """The linear map of the pairs of weights (K, T) of a loop under a given gain, divided by a level in every step."""
+    """One backward step of the weights (K, T) of a loop over lossy links with a given gain, divided by ``level``."""
 
     def __init__(self, A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) -> None:
         """Store the loop."""
@@ -113,17 +115,19 @@ class MeanSquare:
         self.spread = self.alpha * (1 - self.alpha)  # variance of the loss
 
     def step(self, K: Array, T: Array) -> tuple[Array, Array]:
-        """Return the pair before a step."""
+        """Compute the weights before a step from the weights (K, T) after it."""
         own = self.moved.T @ K @ self.moved + self.spread * self.L.T @ self._seen(K, T) @ self.L
         both = self.A.T @ ((1 - self.beta) * K + self.beta * T) @ self.A
         return symmetrised(own) / self.level, symmetrised(both) / self.level
 
     def growth(self) -> float:
-        """Return the factor by which the mean square of the loop, without noise, grows per step."""
+        """Compute the factor by which the mean square of the loop without noise grows per step."""
         return growth(lambda pair: np.stack(self.step(*pair)), np.stack([np.eye(len(self.A))] * 2))
 
     def weights(self) -> tuple[Array, Array] | None:
-        """Return K and T of unit costs; None if the mean square does not grow by less than the level."""
+        """Compute K and T for unit costs; return None if the mean square grows by the factor ``level`` or more per
+        step.
+        """
         # It does if and only if both are definite, and each step leaves the unit of both.
         one = np.eye(len(self.A))
         try:
@@ -136,7 +140,7 @@ class MeanSquare:
         return pair if min(least) > 1e-3 else None
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Solve the coupled Lyapunov equations of the loop for the weights K and T."""
+        """Solve the two coupled Lyapunov equations of the loop for the weights K and T."""
         # K and T are the sums over all steps of terms that are added in each step.
         K, T = self._apart(first, second)
         if self.spread:  # solved without coupling; then for the coupling Y = Y_0 + turn·Y
@@ -168,7 +172,7 @@ class MeanSquare:
 
 
 class LossyStep(NamedTuple, Generic[E]):
-    """Enclosures of a problem and a gain over lossy links: how one step changes the pairs of weights (K, T)."""
+    """Enclosures of the matrices with which the weights (K, T) over lossy links are computed one step backwards."""
 
     A: E
     B: E
@@ -178,7 +182,7 @@ class LossyStep(NamedTuple, Generic[E]):
     channel: Channel
 
     def linear(self, K: E, T: E) -> tuple[E, E]:
-        """Return the weights before a step without stage costs."""
+        """Compute the weights before a step without stage cost, from the weights (K, T) after it."""
         A, L = self.A, self.L
         moved = L.T @ self.B.T @ K @ A
         first = A.T @ K @ A + self.arriving(moved + moved.T + L.T @ self.felt(K, T) @ L)
@@ -186,7 +190,9 @@ class LossyStep(NamedTuple, Generic[E]):
         return first.symmetric(), second.symmetric()
 
     def felt(self, K: E, T: E) -> E:
-        """Return the weight B'(K + αφP)B of an input through its effect on state and error."""
+        """Return the weight B'(K + αφP)B of an input: its effect on the state, and on the estimation error if it is
+        lost.
+        """
         direct = self.B.T @ K @ self.B
         if self.channel.coupling:
             wrong = self.B.T @ (T - K) @ self.B
@@ -194,25 +200,25 @@ class LossyStep(NamedTuple, Generic[E]):
         return direct.symmetric()
 
     def arriving(self, form: E) -> E:
-        """Return the share 1 − α of a form."""
+        """Multiply a form by the probability 1 − α that a packet to the actuator arrives."""
         return form - form.times(self.channel.actuator_loss)
 
     def missed(self, K: E, T: E) -> tuple[E, E]:
-        """Return what a step adds to the weights."""
+        """Compute the residuals of the two Lyapunov equations at the weights (K, T)."""
         first, second = self.linear(K, T)
         spent = self.arriving(self.L.T @ self.R @ self.L)
         return (first + self.Q + spent - K).symmetric(), (second + self.Q - T).symmetric()
 
     def falls(self, X: E, Z: E) -> tuple[E, E]:
-        """Return by what a step without costs reduces a pair: the proof that the mean square is bounded."""
+        """Compute by how much weights decrease in a step without cost. A proven decrease bounds the mean square."""
         after = self.linear(X, Z)
         falls = (X - after[0]).symmetric(), (Z - after[1]).symmetric()
         if not all(form.definite() for form in (X, Z, *falls)):
-            raise UnprovedError("the mean square is not proved to be bounded")
+            raise UnprovedError("the mean square of the state could not be proved to be bounded")
         return falls
 
     def proved(self, K: E, T: E, X: E, Z: E, sizes: Sequence[Array]) -> float:
-        """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z)."""
+        """Return ε such that (K, T) ± ε(X, Z) enclose both the optimal weights and the weights of the given gain."""
         falls, missed = self.falls(X, Z), self.missed(K, T)
         price, pushed = self.R + self.felt(K, T), self.felt(X, Z)
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
@@ -226,12 +232,12 @@ class LossyStep(NamedTuple, Generic[E]):
             lower = block([[lower, off.T], [off, price.symmetric()]])
         above = ((falls[i].times(slack) - missed[i]).definite() for i in (0, 1))
         if not (lower.definite() and (falls[1].times(slack) + missed[1]).definite() and all(above)):
-            raise UnprovedError("the error of the cost-to-go is not proved")
+            raise UnprovedError("no bound on the error of the cost-to-go could be proved")
         return slack
 
 
 class Critical(NamedTuple):
-    """Two loss probabilities of a link, with a proof: losses up to the first are survived, from the second on not."""
+    """Proven lower and upper bounds on the critical loss probability of a link."""
 
     survived: float  # some linear gain keeps the mean square bounded at this loss, and at smaller ones
     lost: float  # no linear gain does at this loss, and at larger ones
@@ -244,7 +250,7 @@ class Critical(NamedTuple):
 
 
 class Rough(NamedTuple):
-    """Some modes in double precision: A and B, their coordinates V x, VW = I, and a gain for links without losses."""
+    """Some modes of a plant in double precision: A, B, coordinates V x, W with VW = I, and a gain without losses."""
 
     A: Array
     B: Array
@@ -254,7 +260,7 @@ class Rough(NamedTuple):
 
 
 class Lasting:
-    """The modes of a plant on or outside the unit circle, and the losses that they survive."""
+    """The non-decaying modes of a plant, which determine at which loss probabilities some gain stabilises the plant."""
 
     def __init__(self, A: Array, B: Array) -> None:
         """Scale the states by powers of two, so that the results do not depend on their units."""
@@ -274,7 +280,7 @@ class Lasting:
         self.size = max((abs(complex(self.roots[k].root)) for k in self.modes), default=0.0)
 
     def rough(self, modes: Sequence[int] | None = None) -> Rough:
-        """Return all modes that do not decay, or some modes, in double precision."""
+        """Return some modes of the plant in double precision; by default, all modes that do not decay."""
         modes = self.modes if modes is None else modes
         key = tuple(modes)
         if key not in self._known:
@@ -293,7 +299,7 @@ class Lasting:
         return self._known[key]
 
     def reached(self, channel: Channel, link: Link, modes: Sequence[int] | None = None) -> Reached | None:
-        """Return the largest loss of a link, up to the given one, that some modes survive; None if none was found."""
+        """Find the largest loss probability at which some gain stabilises the modes; return None if none was found."""
         A, B, _, _, L = self.rough(modes)
         if link == "sensor":
             start = self.reached(replace(channel, sensor_loss=0.0), "actuator", modes)
@@ -309,7 +315,7 @@ class Lasting:
         return _follow(lambda loss, L: _loop(A, B, L, channel.at(link, loss)), L, end)
 
     def gain(self, channel: Channel) -> Array | None:
-        """Return a gain of the states that keeps the mean square bounded; None if none was found."""
+        """Find a state-feedback gain that keeps the mean square bounded; return None if none was found."""
         slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > _SLOW and not one.root.imag < 0]
         for modes in (slow, self.modes):  # also those that hardly decay, whose costs would be too large
             for path in (channel, channel.at("actuator", 1.0)):  # or a gain for larger losses
@@ -319,13 +325,15 @@ class Lasting:
         return None
 
     def of_states(self, L: Array, modes: Sequence[int] | None = None) -> Array:
-        """Return a gain of the states from one of the coordinates of some modes."""
+        """Convert a gain for the coordinates of some modes to a gain for the plant's state."""
         found = np.zeros((self.every, len(self.A)))
         found[self.inputs] = L @ self.rough(modes).V / self.scale
         return found
 
     def slowest(self, channel: Channel) -> tuple[float, Array]:
-        """Return the least growth of the mean square, and a gain of the states with this growth."""
+        """Compute the least growth factor of the mean square under any gain, and a state-feedback gain that
+        attains it.
+        """
         if not self.modes:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
         A, B, *_ = self.rough()
@@ -338,7 +346,7 @@ class Lasting:
         return first * (1 - found.place), self.of_states(found.L)
 
     def critical(self, channel: Channel, link: Link) -> Critical:
-        """Return proved limits of the losses of one link at the given loss of the other link."""
+        """Compute proven bounds on the critical loss probability of one link, for a loss probability of the other."""
         if not self.grows:  # a small gain keeps marginal modes bounded at any loss below 1
             fine = not self.modes or (channel.sensor_loss if link == "actuator" else channel.actuator_loss) < 1
             return Critical(1.0, 1.0) if fine else Critical(0.0, 0.0)
@@ -349,7 +357,7 @@ class Lasting:
         return Critical(self._survived(channel, link, found), self._lost(channel, link, found))
 
     def exceeded(self, channel: Channel) -> bool:
-        """Return whether no linear gain keeps the mean square bounded, as is proved."""
+        """Return whether it is proved that every linear gain makes the mean square unbounded."""
         if self._doubts(channel):
             return True
         every = channel.at("actuator", 1.0)  # the same path as that of the critical loss, which it must not contradict
@@ -445,10 +453,10 @@ class Lasting:
                 found = V @ A @ W, V @ Balls.exact(self.B)
                 if all((part.radius <= _SHARP * np.abs(part.middle).max()).all() for part in found):
                     return found
-        raise UnprovedError("the modes need more than 1,024 bits")
+        raise UnprovedError("the computation of the modes needs more than 1,024 bits")
 
     def _moving(self, roots: Sequence[acb]) -> Bits:
-        """Return a mask of the inputs without those that do not move some modes, as the zeros of A and B prove."""
+        """Return a mask of the inputs without those that leave some modes unaffected, as the zeros of A and B prove."""
         leads, found = np.asarray(self.A != 0, dtype=np.bool_), np.ones(self.B.shape[1], dtype=np.bool_)
         for k in range(len(found)):
             moved = closure(self.B[:, k] != 0, leads)
@@ -466,7 +474,7 @@ def _without(V: Balls, A: Balls, root: acb) -> Balls:
 
 
 class Reached(NamedTuple):
-    """A gain under which the mean square is bounded at some place of a path of loops, and the weights of unit costs."""
+    """A gain that keeps the mean square bounded at a point of a path of loss probabilities, and its weights."""
 
     place: float
     L: Array

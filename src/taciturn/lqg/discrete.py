@@ -1,4 +1,4 @@
-"""Discrete-time control problem of a policy: the plant from step to step, and the cost of a step.
+"""The discrete-time control problem of a design: the sampled plant, and the cost per step.
 
 A discrete plant is taken as it is. A continuous plant is sampled exactly: ``sample`` integrates dynamics, noise and
 cost over a period, with the input held. Two parts of a plant become states that no design, filter, program or node
@@ -76,12 +76,12 @@ BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovatio
 
 
 def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
-    """Return the inputs that an output shows directly: those with a column of D that is not zero."""
+    """Return the indices of the inputs with a direct feedthrough to an output, whose columns of D are not zero."""
     return [] if plant.D is None else np.flatnonzero(plant.D.any(axis=0)).tolist()
 
 
 def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
-    """Return a problem with registers of the inputs that the outputs show."""
+    """Extend a problem by registers: states that store the inputs with a direct feedthrough for one step."""
     n, fed = source.states, fed_inputs(source)
     inputs: Array = np.eye(problem.plant.inputs)[fed]
     more = n, np.zeros((len(fed), len(fed))), inputs
@@ -102,7 +102,7 @@ def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discre
 
 
 def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
-    """Return a plant with registers of the inputs that its outputs show by the D of the plant before sampling."""
+    """Extend a sampled plant by registers: states that store, for one step, the inputs with a direct feedthrough."""
     n, fed, D = source.states, fed_inputs(source), source.D
     assert D is not None, "only a plant with D needs registers"
     shown = np.zeros((plant.outputs, len(fed)))
@@ -121,7 +121,7 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
 
 
 def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
-    """Raise an error if an output is so large next to what it tells about the state that its rounding hides this.
+    """Raise an error if an output is so large that rounding hides how it depends on the state.
 
     An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
     with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
@@ -142,14 +142,14 @@ def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
         shown = plant.C[worst, fed]
         raise ProblemError(
             f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
-            f"{worst + 1} so much that a double holds y − D u only to {rounded[worst]:.2g}; expected at most {BLUR:g} "
-            f"of {told[worst]:.2g}, the deviation of what a sample tells about the state: measure this output without "
-            "the input, or leave it out"
+            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
+            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
+            "innovation: measure this output without the input, or leave it out"
         )
 
 
 def with_same_start(problem: Discrete, model: Plant) -> Discrete:
-    """Return a problem about the operating point of a design, whose registers start with the inputs of the design."""
+    """Set the initial values of a problem's registers to those of the plant ``model`` of a design."""
     plant, place = problem.plant, registers_from(problem)
     before = np.zeros(plant.inputs)
     for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
@@ -158,19 +158,19 @@ def with_same_start(problem: Discrete, model: Plant) -> Discrete:
 
 
 def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
-    """Return a plant whose registers, from the state ``place`` on, start with given inputs, (m,)."""
+    """Set the initial values of a plant's registers, which begin at state ``place``, to the given inputs, (m,)."""
     mean = plant.mean.copy()
     mean[place : place + len(plant.registers)] = before[[*plant.registers]]
     return altered(plant, {"mean": frozen(mean)})
 
 
 def registers_from(problem: Discrete) -> int:
-    """Return the number of the first register among the states of a problem."""
+    """Return the index of the first register among the states of a problem."""
     return problem.plant.stated if problem.source is None else problem.source.states
 
 
 def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of a design in the states of a problem, which may have registers of other inputs."""
+    """Return the operating point of the plant ``model`` for a problem whose states contain other registers."""
     point, fed, place = model.operating_point, [*problem.plant.registers], registers_from(problem)
     if point is None or model.registers == problem.plant.registers:
         return point
@@ -180,9 +180,7 @@ def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RegisteredDynamics(Displayed):
-    """A step function with registers of inputs: (x, z, d), u, (w, 0, w_d) → f((x, d), u, (w, w_d)) with z⁺ = u
-    between.
-    """
+    """A step function extended by registers z⁺ = u. The other states follow f((x, d), u, (w, w_d))."""
 
     dynamics: Dynamics  # f
     place: int  # number of states before the registers
@@ -198,7 +196,7 @@ class RegisteredDynamics(Displayed):
 
     @staticmethod
     def of(function: Dynamics, place: int, inputs: list[int]) -> Dynamics:
-        """Return the function of a plant with registers, which is moved as the function without them is."""
+        """Extend a plant's step function by registers, and shift it to the same operating point as before."""
         moved, fed = function.function, tuple(inputs)
         if not isinstance(moved, MovedDynamics):
             return Dynamics(RegisteredDynamics(function, place, fed))
@@ -219,7 +217,7 @@ GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discrete(Displayed):
-    """A discrete-time control problem: the plant's dynamics from step to step, and the cost per step.
+    """A discrete-time control problem: how the plant moves from step to step, and the cost per step.
 
     Args:
         plant: the plant from step to step.
@@ -256,7 +254,7 @@ class Discrete(Displayed):
     deviations: Followed | None = None
 
     def regulator(self) -> Regulator:
-        """Return the optimal regulator of an average or discounted cost.
+        """Compute the optimal regulator for an average cost or a discounted cost.
 
         Raises:
             UnstableError: no stabilising gain exists, as :func:`~taciturn.lqg.riccati.regulate` says.
@@ -266,7 +264,8 @@ class Discrete(Displayed):
         return regulate_sampled(self.exact, *self.quadratic, self.cost.discount)
 
     def filter(self) -> Filter:
-        """Return the steady Kalman filter; it takes over set-points that change.
+        """Compute the steady-state Kalman filter. It takes set-points that change as they are, because they are known
+        exactly.
 
         Raises:
             UnstableError: no stable filter exists, as :func:`~taciturn.lqg.kalman.steady_filter` says.
@@ -280,17 +279,17 @@ class Discrete(Displayed):
         return found
 
     def summary(self) -> Mapping[str, object]:
-        """Return the fields by name, with the number of inputs of the plant before it was sampled."""
+        """Return the fields to display, by name. The number of states is that before sampling."""
         shown = {**super().summary(), "plant": self.short()}
         return {name: value for name, value in shown.items() if name not in HIDDEN}
 
     def short(self) -> str:
-        """Return the numbers of states, inputs and outputs of the plant, as text."""
+        """Describe the plant by its numbers of states, inputs and outputs."""
         return self.plant.short(None if self.prediction is None else len(self.prediction.L))
 
     @property
     def in_units(self) -> Discrete:
-        """The problem in the units of the plant; its cost counts from the operating point."""
+        """The problem in the plant's own units. Its cost weights the deviations from the operating point."""
         return replace(self, plant=about(self.plant, None), rest=self.plant.operating_point)
 
     @cached_property
@@ -304,7 +303,7 @@ class Discrete(Displayed):
 
     @cached_property
     def registers(self) -> Bits:
-        """Mask of the registers, (n,), which hold inputs of the step before and are no states of the user's plant."""
+        """Mask, (n,), of the states that are registers. A register stores an input of the previous step."""
         found = np.zeros(self.plant.states, dtype=np.bool_)
         first = registers_from(self)
         found[first : first + len(self.plant.registers)] = True
@@ -312,11 +311,11 @@ class Discrete(Displayed):
 
     @property
     def decaying(self) -> Bits:
-        """Mask of the states, (n,), that decay under an optimal gain."""
+        """Mask, (n,), of the states that decay if an optimal gain controls the plant."""
         return ~self.lasting if self.source is not None and self.source.exosystem is not None else self.moving
 
     def weight(self, given: ArrayLike | None = None) -> Array:
-        """Return a weight of the states of the user's plant, (n, n): the identity, or a given one, without registers.
+        """Extend a weighting matrix of the user's states (default: identity) by zeros for the registers, (n, n).
 
         Raises:
             ProblemError: the weight has another size, or is not positive semidefinite.
@@ -330,7 +329,7 @@ class Discrete(Displayed):
 
     @cached_property
     def lasting(self) -> Bits:
-        """Mask of the states, (n,), that do not decay, that no input moves, and that leave the cost finite.
+        """Mask, (n,), of states that no input affects and that do not decay, but for which the cost is finite.
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
@@ -342,21 +341,21 @@ class Discrete(Displayed):
 
     @property
     def quadratic(self) -> Quadratic:
-        """The regulator problem of the plant and the weights."""
+        """The matrices of the plant and the weights of the cost, as a linear-quadratic regulator problem."""
         return Quadratic(self.plant.A, self.plant.B, self.Q, self.R, self.N)
 
     @cached_property
     def followed(self) -> Followed | None:
-        """The states and inputs at which disturbances and set-points cost nothing, or None if nothing is followed."""
+        """States and inputs at which disturbances and set-points cost nothing; None if there are none."""
         return followed(self.quadratic)
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, without the modes of the lasting states."""
+        """Return the largest modulus of a closed-loop mode, apart from the modes of the ``lasting`` states."""
         keep = self.decaying
         return radius(closed[np.ix_(keep, keep)])
 
     def among(self, states: Bits) -> Discrete:
-        """Return the problem restricted to some of the states, which the others do not affect."""
+        """Restrict the problem to a subset of the states. The remaining states must not depend on the others."""
         p, place = self.plant, np.ix_(states, states)
         plant = derived_plant(
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
@@ -367,7 +366,7 @@ class Discrete(Displayed):
 
     @property
     def terminal(self) -> Array | None:
-        """The weight of the states after the last step, (n, n), or None; states that were added have none."""
+        """Weight of the final state, (n, n), with zeros for states that the design added; None if there is none."""
         given = self.cost.terminal
         return None if given is None else np.pad(given, (0, self.plant.states - len(given)))
 
@@ -378,7 +377,7 @@ class Discrete(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on what the cost counts, if it is not the integral of the stage cost, and on a direct feedthrough."""
+        """Notes on a direct feedthrough, and on a cost that is not the integral of the stage cost."""
         fed = self.source is not None and self.source.D is not None
         return ((INSTANTS,) if self.instants else ()) + (
             (f"the plant has a direct feedthrough D: {FED}",) if fed else ()
@@ -386,25 +385,25 @@ class Discrete(Displayed):
 
     @property
     def ticks(self) -> float:
-        """Total weight of the steps in the cost: 1 for an average, N for a horizon, 1/(1−α) for a discounted sum."""
+        """Sum of the weights of all steps in the cost: 1 (average), N (horizon) or 1/(1−α) (discounted sum)."""
         if self.cost.horizon is not None:
             return float(self.cost.horizon)
         return 1 / (1 - self.cost.discount) if self.cost.mission else 1.0
 
     @property
     def unit(self) -> float:
-        """Seconds to which an average cost refers, by which a cost per step is divided; 1 for a total."""
+        """Seconds per step if the cost is an average, by which the cost per step is divided; 1 for a total."""
         return 1.0 if self.cost.mission else self.tick
 
     def per_unit(self, cost: float) -> float:
-        """Convert a cost per step, or a total, to the user's units, and add the inter-sample noise cost."""
+        """Convert a cost per step, or a total, to the user's units, including the inter-sample noise cost."""
         return (cost + self.noise_cost * self.ticks) / self.unit
 
 
 def discretise(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
 ) -> Discrete:
-    """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
+    """Convert a plant and a cost to a discrete-time control problem. A continuous-time plant is sampled exactly.
 
     Args:
         plant: a discrete plant, or a continuous plant, which is sampled exactly.
@@ -436,14 +435,14 @@ def _discretise(
         return _with_added_states(plant, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
-            f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
+            f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected the shapes "
             f"{(plant.states, plant.states)} and {(plant.inputs, plant.inputs)}, for the states and inputs of the plant"
         )
     if isinstance(plant, Plant):
         if period is not None:
             raise ProblemError(
-                f"period is {period:g}, and the plant is discrete in time; expected no period, as the steps are the "
-                "sampling instants (define a continuous plant without dt, which is plant.dt in a file)"
+                f"period is {period:g}, but the plant is discrete in time; expected no period, as the steps are the "
+                "sampling instants (for a plant that is continuous in time, omit dt, in a file plant.dt)"
             )
         return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0, source=plant)
     if period is None:
@@ -456,14 +455,15 @@ def _discretise(
     if period < SHORTEST or 0 < moved < LEAST:
         least = max(SHORTEST, LEAST / pace(plant.A) if moved else 0.0)
         raise ProblemError(
-            f"period is {period:g}, and rounding hides what the plant does in such a step; expected at least "
-            f"{least:.1g}"
+            f"period is {period:g}, but in so short a step, rounding hides the motion of the plant; expected a period "
+            f"of at least {least:.1g} s"
         )
     rate = float(eigenvalues(plant.A).real.max())
     if rate * period > np.log(GROWTH):
         raise ProblemError(
-            f"period is {period:g}, within which the fastest mode of the plant grows by e^{rate * period:.4g}; "
-            f"expected growth by at most {GROWTH:.0e}, so a period below about {np.log(GROWTH) / rate:.3g}"
+            f"period is {period:g}, within which the fastest mode of the plant grows by the factor "
+            f"e^{rate * period:.4g}; expected a factor of at most {GROWTH:.0e}, so a period below about "
+            f"{np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
@@ -475,8 +475,8 @@ def _discretise(
         }
         for name in (name for name, value in given.items() if value is not None):
             raise ProblemError(
-                f"{name} is {given[name]}, but the input changes between steps, and a limited input that changes has "
-                f"no exact discretisation; expected no {name}, or a policy that holds its input"
+                f"{name} is {given[name]}, but the input of this policy changes between steps, and a limited input "
+                f"that changes has no exact discretisation; expected no {name}, or a policy that holds its input"
             )
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics
@@ -485,9 +485,9 @@ def _discretise(
         semidefinite("W", sampled.W, plant.states)
     except ProblemError:
         raise ProblemError(
-            f"the noise of a period is not semidefinite up to rounding: the modes of A reach {pace(plant.A):.1e} per "
-            "second, and the rounding of A and W next to them hides the noise of slower states; expected modes that "
-            "differ less, such as an E that is not nearly singular"
+            "the noise covariance over a sampling period is not semidefinite up to rounding: the modes of A reach "
+            f"{pace(plant.A):.1e} per second, so rounding of A and W hides the noise of slower states; expected modes "
+            "that differ less in speed, for example by an E that is less close to singular"
         ) from None
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     rate = None if plant.input_rate is None else period * plant.input_rate
@@ -536,7 +536,7 @@ STILL = 1e-9  # relative rate of change of an input that counts as zero
 
 
 def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
-    """Return whether the integral of the cost has an average, with an input that is held between samples.
+    """Return whether the integral of the cost has a long-run average if the input is held between samples.
 
     It has none if a disturbance that does not decay changes the input Ud that it needs between samples. The sums over
     the steps of a discrete plant always have one.
@@ -567,7 +567,7 @@ def _moves(U: Array, S: Array) -> Array:
 
 
 def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
-    """Return the problem of a plant with its signals: its states are (x, d), its cost that of the deviations."""
+    """Extend the state of a problem by an exosystem d. Its cost then weights deviations from targets that d sets."""
     plant, e = base.plant, exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
@@ -582,9 +582,9 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         fastest = float(np.abs(eigenvalues(e.S).imag).max(initial=0.0))
         if fastest * base.tick >= np.pi:
             raise ProblemError(
-                f"a disturbance has the frequency {fastest:g} radians per second, which the sampling period "
-                f"{base.tick:g} cannot follow; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a "
-                "shorter period"
+                f"a disturbance has the frequency {fastest:g} radians per second, which is too high for the sampling "
+                f"period {base.tick:g}; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a shorter "
+                "period"
             )
         B, none = np.vstack([source.B, np.zeros((q, m))]), np.zeros((n + q, n + q))
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
@@ -633,7 +633,7 @@ def _at_point(source: Plant | ContinuousPlant, e: Exosystem) -> Array:
 
 
 def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | None]:
-    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else."""
+    """Return the problem of a plant next to states with dynamics S that cost nothing and affect no other state."""
     n, none, exact = base.plant.states, np.zeros((len(S), base.plant.inputs)), base.exact
     given = base.quadratic.beside(n, S, none)
     if exact is None:
@@ -662,7 +662,7 @@ def _within_a_period(
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:
-    """Return the error that a set-point needs an input beyond the limits of a plant, in the units of the plant."""
+    """Return the error for a set-point that needs a larger input than the plant's limits allow."""
     assert plant.input_limit is not None, "only limits can be exceeded"
     rest = np.zeros(len(needed)) if plant.operating_point is None else plant.operating_point.u
     return ProblemError(
@@ -692,7 +692,7 @@ def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continu
     hidden = (unmoved(A[np.ix_(some, some)].T, C[:, some].T, Limit(continuous), True).lasting for some in (plant, keep))
     if not next(hidden).size and next(hidden).size:
         raise ProblemError(
-            f"the measured outputs ({len(exosystem.G)}) do not show every disturbance ({int(unknown.sum())} states); "
-            "expected disturbances with different effects on the outputs, at most one constant for each output: remove "
-            "a disturbance, or add a sensor"
+            f"the disturbances ({int(unknown.sum())} states) are not observable from the measured outputs "
+            f"({len(exosystem.G)}); expected disturbances with different effects on the outputs, and at most as many "
+            "constant disturbances as outputs: remove a disturbance, or add a sensor"
         )

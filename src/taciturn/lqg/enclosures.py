@@ -1,4 +1,4 @@
-"""Matrices with proved error bounds: every entry is a middle and a radius within which the exact value lies.
+"""Matrices with proven error bounds: each entry is a midpoint with a radius, and encloses the exact value.
 
 Two arithmetics have the same operations. ``Balls`` computes with python-flint at any precision; its radii are proofs
 for any conditioning, units and sampling period. ``Doubles`` computes middles in double precision and bounds their
@@ -30,11 +30,11 @@ Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
 
 class UnprovedError(ArithmeticError):
-    """A property that does not follow from the enclosures at this precision."""
+    """Raised if a property cannot be proved at the precision with which it is computed."""
 
 
 class Balls:
-    """A matrix of balls of python-flint, for use within ``precision``."""
+    """A matrix of balls (midpoint and radius) of python-flint, of any precision. Use it within ``precision``."""
 
     __slots__ = ("_balls", "_middle", "_radius")
 
@@ -44,33 +44,33 @@ class Balls:
 
     @classmethod
     def exact(cls, values: Array) -> Self:
-        """Return the matrix of given doubles, without an error."""
+        """Convert a matrix of doubles, whose values count as exact."""
         return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values, np.zeros(values.shape))
 
     @classmethod
     def rational(cls, values: fmpq_mat) -> Self:
-        """Return an enclosure of a matrix of rational numbers."""
+        """Enclose a matrix of rational numbers."""
         return cls(arb_mat(values))
 
     @classmethod
     def root(cls, value: float, size: int) -> Self:
-        """Return the square root of a number times the unit matrix."""
+        """Enclose the identity matrix times the square root of a number."""
         one, none = arb(value).sqrt(), arb(0)
         return cls.of([[one if i == j else none for j in range(size)] for i in range(size)], size)
 
     @classmethod
     def of(cls, table: list[list[arb]], columns: int) -> Self:
-        """Return the matrix with given rows of balls."""
+        """Construct a matrix of balls from its rows."""
         return cls(arb_mat(table) if table and columns else arb_mat(len(table), columns))
 
     @property
     def rows(self) -> list[list[arb]]:
-        """The rows, as balls of python-flint."""
+        """The rows of the matrix, as lists of python-flint's balls."""
         return self._balls.tolist()
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns."""
+        """Number of rows and number of columns of the matrix."""
         return self._balls.nrows(), self._balls.ncols()
 
     @property
@@ -80,14 +80,14 @@ class Balls:
 
     @property
     def middle(self) -> Array:
-        """The middles, as the nearest doubles."""
+        """The midpoints of the entries, each rounded to a double."""
         if self._middle is None:
             self._middle = np.array([*map(float, self._balls.mid().entries())]).reshape(self.shape)
         return self._middle
 
     @property
     def radius(self) -> Array:
-        """Bounds on the distances of the exact entries from ``middle``."""
+        """Bounds on the distance of each exact entry from the matrix ``middle``."""
         if self._radius is None:
             balls, moved = self._balls.entries(), self.middle.ravel() != 0
             if not moved.all():  # a number may be too small for a double
@@ -98,7 +98,7 @@ class Balls:
 
     @property
     def most(self) -> Array:
-        """Bounds on the moduli of the exact entries; that of an entry that is zero is zero."""
+        """Bounds on the absolute value of each exact entry; 0 for an entry that is exactly zero."""
         return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)
 
     def __add__(self, other: Self) -> Self:
@@ -114,29 +114,29 @@ class Balls:
         return type(self)(self._balls * other._balls)
 
     def times(self, factor: float | arb) -> Self:
-        """Return the product with an exact number, or with a ball."""
+        """Multiply the matrix by an exact number or a ball."""
         return type(self)(self._balls * arb(factor))
 
     def over(self, count: int) -> Self:
-        """Return the quotient by a number."""
+        """Divide the matrix by an integer."""
         return type(self)(self._balls / arb(count))
 
     @classmethod
     def unit(cls) -> float:
-        """Return a size relative to 1 that may be left out, if it counts as a radius."""
+        """Return how small, relatively, terms must be to be neglected; the radius is then increased by their size."""
         return 2.0 ** -int(ctx.prec)
 
     def widened(self, by: Array) -> Self:
-        """Return the matrix with larger radii."""
+        """Increase the radius of each entry by a nonnegative number."""
         more = [arb(0.0, radius) for radius in by.ravel().tolist()]
         return type(self)(self._balls + arb_mat(len(by), by.shape[1], more)) if by.any() else self
 
     def inner(self, other: Self) -> Self:
-        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        """Enclose the trace of X'Y for this matrix X and another matrix Y; the result is a (1, 1) matrix."""
         return type(self)(arb_mat([[(self._balls.transpose() * other._balls).trace()]]))
 
     def part(self, rows: Rows, columns: Rows) -> Self:
-        """Return some rows and columns."""
+        """Return the submatrix of the given rows and columns."""
         n, m = self.shape
         down, across = _places(n, rows), _places(m, columns)
         if len(down) == n and len(across) == m:
@@ -145,7 +145,7 @@ class Balls:
         return self.of([[table[i][j] for j in across] for i in down], len(across))
 
     def solve(self, right: Self) -> Self:
-        """Return the inverse of this matrix times another one."""
+        """Enclose X⁻¹Y for this matrix X and another matrix Y."""
         if not all(self.shape) or not all(right.shape):
             return type(self)(arb_mat(*right.shape))
         try:
@@ -154,11 +154,11 @@ class Balls:
             raise UnprovedError("the matrix may be singular") from error
 
     def centre(self) -> Self:
-        """Return the middles without radii, at the present precision."""
+        """Return the matrix of the midpoints, with radius 0, at the present precision."""
         return type(self)(self._balls.mid(), self._middle)
 
     def symmetric(self) -> Self:
-        """Return the mean of the matrix and its transpose, for a matrix that is exactly symmetric."""
+        """Return (X + X')/2 for this matrix X, whose exact value must be symmetric."""
         return (self + self.T).times(0.5)
 
     def definite(self) -> bool:
@@ -181,37 +181,37 @@ class Balls:
 
 
 class Doubles:
-    """A matrix of doubles with bounds on their errors."""
+    """A matrix of doubles with a proven bound on the error of each."""
 
     __slots__ = ("middle", "radius")
 
     def __init__(self, middle: Array, radius: Array) -> None:
         """Take over middles and radii; a middle or radius that is not finite ends the proof."""
         if not isfinite(float(np.vdot(radius, radius)) + float(np.vdot(middle, middle))):
-            raise UnprovedError("a number exceeds the range of doubles")
+            raise UnprovedError("a number exceeds the range of double precision")
         self.middle, self.radius = middle, radius
 
     @classmethod
     def exact(cls, values: Array) -> Self:
-        """Return the matrix of given doubles, without an error."""
+        """Convert a matrix of doubles, whose values count as exact."""
         return cls(values, np.zeros(values.shape))
 
     @classmethod
     def rational(cls, values: fmpq_mat) -> Self:
-        """Return an enclosure of a matrix of rational numbers."""
+        """Enclose a matrix of rational numbers."""
         nearest = [int(one.p) / int(one.q) for one in values.entries()]
         middle = np.array(nearest, dtype=np.float64).reshape(values.nrows(), values.ncols())
         return cls(middle, 2 * UNIT * np.abs(middle))
 
     @classmethod
     def root(cls, value: float, size: int) -> Self:
-        """Return the square root of a number times the unit matrix."""
+        """Enclose the identity matrix times the square root of a number."""
         middle = np.sqrt(value) * np.eye(size)
         return cls(middle, 2 * UNIT * middle)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns."""
+        """Number of rows and number of columns of the matrix."""
         n, m = self.middle.shape
         return n, m
 
@@ -222,7 +222,7 @@ class Doubles:
 
     @property
     def most(self) -> Array:
-        """Bounds on the moduli of the exact entries; that of an entry that is zero is zero."""
+        """Bounds on the absolute value of each exact entry; 0 for an entry that is exactly zero."""
         return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)
 
     def __add__(self, other: Self) -> Self:
@@ -255,24 +255,24 @@ class Doubles:
         return type(self)(middle, radius)
 
     def times(self, factor: float) -> Self:
-        """Return the product with an exact number."""
+        """Multiply the matrix by an exact number."""
         return self._rounded(self.middle * factor, self.radius * abs(factor))
 
     def over(self, count: int) -> Self:
-        """Return the quotient by a number."""
+        """Divide the matrix by an integer."""
         return self._rounded(self.middle / count, self.radius / count)
 
     @classmethod
     def unit(cls) -> float:
-        """Return a size relative to 1 that may be left out, if it counts as a radius."""
+        """Return how small, relatively, terms must be to be neglected; the radius is then increased by their size."""
         return 2.0**-60
 
     def widened(self, by: Array) -> Self:
-        """Return the matrix with larger radii."""
+        """Increase the error bound of each entry by a nonnegative number."""
         return type(self)(self.middle, (self.radius + by) * (1 + 4 * UNIT))
 
     def inner(self, other: Self) -> Self:
-        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        """Enclose the trace of X'Y for this matrix X and another matrix Y; the result is a (1, 1) matrix."""
         one, two = (type(self)(part.middle.reshape(1, -1), part.radius.reshape(1, -1)) for part in (self, other))
         return one @ two.T
 
@@ -281,11 +281,11 @@ class Doubles:
         return type(self)(middle, (radius + UNIT * np.abs(middle)) * (1 + 8 * UNIT))
 
     def part(self, rows: Rows, columns: Rows) -> Self:
-        """Return some rows and columns."""
+        """Return the submatrix of the given rows and columns."""
         return type(self)(self.middle[rows][:, columns], self.radius[rows][:, columns])
 
     def solve(self, right: Self) -> Self:
-        """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃)."""
+        """Enclose the solution X of S X = R with an approximate inverse Z of S: X = X̃ + (ZS)⁻¹Z(R − S X̃)."""
         # With |I − ZS| ≤ G, whose row sums are at most q < 1, the correction of each column is at most
         # |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
         try:
@@ -301,11 +301,11 @@ class Doubles:
         return type(self)(found, radius)
 
     def centre(self) -> Self:
-        """Return the middles without radii."""
+        """Return the matrix of the midpoints, with radius 0."""
         return type(self).exact(self.middle)
 
     def symmetric(self) -> Self:
-        """Return the mean of the matrix and its transpose, for a matrix that is exactly symmetric."""
+        """Return (X + X')/2 for this matrix X, whose exact value must be symmetric."""
         return self._rounded(symmetrised(self.middle), symmetrised(self.radius))
 
     def definite(self) -> bool:
@@ -317,7 +317,7 @@ E = TypeVar("E", Balls, Doubles)
 
 
 def block(rows: Sequence[Sequence[E]]) -> E:
-    """Return a matrix of blocks."""
+    """Combine enclosures of blocks into the enclosure of one matrix."""
     kind = type(rows[0][0])
     if kind is Balls:
         found: list[list[arb]] = []
@@ -332,14 +332,14 @@ def block(rows: Sequence[Sequence[E]]) -> E:
 
 
 def solve(left: E, right: E) -> E:
-    """Return the inverse of a matrix times another one."""
+    """Enclose X⁻¹Y for two matrices X and Y that are enclosed themselves."""
     if isinstance(left, Balls):
         return left.solve(right)
     return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one
 
 
 def inner(one: E, other: E) -> E:
-    """Return the trace of the product of the transpose of a matrix with another one, (1, 1)."""
+    """Enclose the trace of X'Y for two enclosed matrices X and Y; the result is a (1, 1) matrix."""
     if isinstance(one, Balls):
         return one.inner(other)
     return one.inner(other)  # the same method of the other arithmetic

@@ -1,4 +1,4 @@
-"""Riccati equations, and sums along a stable map, each solved with a proof of its error.
+"""Solvers for Riccati and Lyapunov equations. Each solution has a proven error bound.
 
 **Sums** X = Σ F^k W F'^k. Let X̂ be a candidate by repeated squaring, and Y the sum of F^k D F'^k for a diagonal D ≻ 0.
 If Y ≻ 0 and P = Y − FYF' ≻ 0, F is stable. If for a number ε also −εP ≺ FX̂F' + W − X̂ ≺ εP, the sum lies between
@@ -64,7 +64,7 @@ _CLEAR, _SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from p
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
-    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W."""
+    """Compute X = Σ_k F^k W F'^k, the solution of the Lyapunov equation X = F X F' + W."""
     # Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
     F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
@@ -76,14 +76,14 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
                 "expected all eigenvalues inside the unit circle: stabilise the loop first"
             )
         raise UnstableError(
-            "F is stable, but rounding its entries can make it unstable, so the sum Σ F^k W F'^k is not proved; "
-            "expected a larger stability margin"
+            "F is stable, but rounding its entries can make it unstable, so no bound on the error of the sum Σ F^k W "
+            "F'^k can be proved; expected a larger stability margin"
         )
     return _arrays.frozen(stationary(F, W))
 
 
 def stationary(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for a semidefinite W and an F that is known to be stable, with a proof of its error."""
+    """Compute Σ_k F^k W F'^k for a stable F and a semidefinite W, with a proven bound on the error."""
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
@@ -106,9 +106,10 @@ def _proved_sum(F: Array, W: Array, X: Array) -> Array:
                 return _judged(Balls, F, W, X)
             except UnprovedError as error:
                 raise UnstableError(
-                    f"the sum Σ F^k W F'^k is not proved to a relative error of {COST_ERROR:.0e}: {error}; F has an "
-                    f"eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and the powers of F "
-                    "decay too slowly, or grow too large before they decay; expected a larger stability margin"
+                    f"the sum Σ F^k W F'^k could not be proved to have a relative error of at most {COST_ERROR:.0e}: "
+                    f"{error}; F has an eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and "
+                    "the powers of F decay too slowly, or grow too large before they decay; expected a larger "
+                    "stability margin"
                 ) from None
 
 
@@ -122,33 +123,35 @@ def _judged(arithmetic: type[E], F: Array, W: Array, X: Array) -> Array:
         if slack * float(np.mean(np.diag(Y.middle) / size)) <= COST_ERROR:
             return X
         X = X + summed(F, missed.middle)
-    raise UnprovedError("its terms and their rounding leave too large a residual")
+    raise UnprovedError("the rounding errors in the sum leave too large a residual in its Lyapunov equation")
 
 
 def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, E, float]:
-    """Return X, X − F'XF and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum of about the given diagonal."""
+    """Return X, X − F'XF and ε such that −εX ⪯ Σ F'^k M F^k ⪯ εX. M is the residual of a computed Lyapunov solution."""
     X, falls = ranked(arithmetic, F, size)
     slack = 4 * relative(missed, size)
     if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
-        raise UnprovedError("the error of a sum along the loop is not proved")
+        raise UnprovedError("no bound on the error of a sum along the closed loop could be proved")
     return X, falls, slack
 
 
 def sizes(A: Array, Q: Array, K: Array, crumb: float) -> Array:
-    """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
+    """Return a scale for each state: its diagonal entry of K, but at least a fraction of the terms in its sum."""
     diagonal = np.diag(K)
     size = np.maximum(diagonal, crumb * (np.abs(np.diag(Q)) + (A * A).T @ np.abs(diagonal)))
     return np.where(size > NO_VARIANCE, size, 1.0)
 
 
 def relative(form: E, size: Array) -> float:
-    """Return a bound on a form relative to the diagonal form of given sizes, above zero."""
+    """Bound the form x'Mx by a positive multiple of the diagonal form with the entries ``size``; return the
+    multiple.
+    """
     unit = 1 / np.sqrt(size)
     return max(float((form.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
 
 
 def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite; X is about the sum of F'^k D F^k for the diagonal D of sizes."""
+    """Compute X ≈ Σ F'^k D F^k for a diagonal D; return X and X − F'XF, both proved to be positive definite."""
     with np.errstate(all="ignore"):
         rough = summed(F.middle.T, np.diag(size))
     if np.isfinite(rough).all():
@@ -161,11 +164,11 @@ def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
         falls = (X - F.T @ X @ F).symmetric()
         if falls.definite() and X.definite():
             return X, falls
-    raise UnprovedError("the closed loop is not proved stable")
+    raise UnprovedError("the stability of the closed loop could not be proved")
 
 
 def total(arithmetic: type[E], F: E, M: E) -> E:
-    """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms."""
+    """Approximate Σ F'^k M F^k without error bounds. Each iteration doubles the number of terms."""
     found, power = M.centre(), F.centre()
     for _ in range(_TURNS):
         more = (power.T @ found @ power).symmetric()
@@ -175,11 +178,11 @@ def total(arithmetic: type[E], F: E, M: E) -> E:
         if np.abs(more.middle).max(initial=0.0) <= arithmetic.unit() * np.abs(np.diag(found.middle)).max(initial=0.0):
             return found
         power = (power @ power).centre()
-    raise UnprovedError("the closed loop does not forget")
+    raise UnprovedError("the powers of the closed-loop matrix do not decay")
 
 
 class Equation(NamedTuple, Generic[E]):
-    """Enclosures of the matrices of a problem: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+    """Enclosures of the matrices of a regulator problem: dynamics (A, B), and weights [[Q, N], [N', R]]."""
 
     A: E
     B: E
@@ -188,13 +191,13 @@ class Equation(NamedTuple, Generic[E]):
     N: E
 
     def under(self, L: E) -> tuple[E, E]:
-        """Return the closed loop A + BL, and the weight of the state in its stage cost."""
+        """Return A + BL and the weight of the state in the stage cost, if the input is u = L x."""
         pushed = self.N @ L
         return self.A + self.B @ L, (self.Q + pushed + pushed.T + L.T @ self.R @ L).symmetric()
 
 
 class Recipe(Protocol):
-    """The matrices of a problem in any arithmetic, such as those of a plant that is sampled in this arithmetic."""
+    """Function that computes the matrices of a problem in an arithmetic of any precision, for example by sampling."""
 
     def __call__(self, arithmetic: type[E], /) -> Equation[E]:
         """Return enclosures of the matrices."""
@@ -203,7 +206,7 @@ class Recipe(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Displayed):
-    """The stabilising solution of a Riccati equation, with a proved bound on its error."""
+    """Stabilising solution of a Riccati equation, with a proven bound on its error."""
 
     K: Array  # cost-to-go, (n, n)
     L: Array  # gain, u = L x, (m, n)
@@ -217,7 +220,7 @@ class Solution(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Displayed):
-    """A problem whose stabilising solution is sought."""
+    """The problem of a regulator or a filter, which is solved by a Riccati equation."""
 
     given: Quadratic  # its matrices in double precision, whose zeros show its structure
     recipe: Recipe  # its matrices in any arithmetic
@@ -228,7 +231,9 @@ class Problem(Displayed):
 
     @cached_property
     def step(self) -> float:
-        """In continuous time, a step of the midpoint rule in which no mode moves far; a power of two."""
+        """Step size of the midpoint rule in continuous time: a power of two, so small that no mode changes much in a
+        step.
+        """
         _, B, Q, R, _ = self.given
         asked = np.sqrt(np.maximum(np.diag(B.T @ Q @ B), 0.0) / np.maximum(np.diag(R), NO_VARIANCE))
         fastest = max(pace(self.given.A), float(asked.max(initial=0.0)))  # of an integrator, how fast inputs move it
@@ -236,11 +241,11 @@ class Problem(Displayed):
 
     @cached_property
     def worth(self) -> Worth:
-        """The states with a cost-to-go, for which the equation is solved, and the modes of the others."""
+        """Partition of the states: those with a cost-to-go, for which the equation is solved, and the others."""
         return worth_of(self.given, self.continuous, self.sampled, self.before)
 
     def solve(self) -> Solution:
-        """Return the stabilising solution."""
+        """Compute the stabilising solution of the Riccati equation."""
         worth = self.worth
         if worth.states.all():
             return self._solved()
@@ -256,7 +261,7 @@ class Problem(Displayed):
         )
 
     def among(self, states: Bits) -> Problem:
-        """Return the problem restricted to states that the others do not affect."""
+        """Restrict the problem to a subset of the states. The remaining states must not depend on the others."""
         every, recipe = slice(None), self.recipe
 
         def restricted(arithmetic: type[E]) -> Equation[E]:
@@ -402,7 +407,7 @@ class Problem(Displayed):
             with np.errstate(all="ignore"):
                 more = summed(F.middle.T, missed)
             if not np.isfinite(more).all():
-                raise UnprovedError("the closed loop of a rounded gain is not stable")
+                raise UnprovedError("the closed loop with the rounded gain is not stable")
             found = (found + arithmetic.exact(more)).centre()
             try:
                 return self._judged(arithmetic, raw, given, found)
@@ -434,7 +439,7 @@ class Problem(Displayed):
     def _rounded(
         self, arithmetic: type[E], given: Equation[E], K: E, L: E, correction: Array, H: E, X: E, size: Array
     ) -> tuple[Array, str]:
-        """Return a bound on what the gain as it is stored costs more, and why it is not enough; empty if it is."""
+        """Return a bound on the additional cost of the stored gain, and the reason if it is too large, or ""."""
         exact, none = arithmetic.exact, np.zeros_like(X.middle)
         stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
         try:
@@ -457,7 +462,7 @@ class Problem(Displayed):
 
 
 def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
-    """Return a problem whose matrices are exactly the given doubles, and its recipe."""
+    """Return a problem whose exact matrices are the given doubles, and the function that encloses these matrices."""
 
     def recipe(arithmetic: type[E]) -> Equation[E]:
         A, B, Q, R, N = (arithmetic.exact(part) for part in given)
@@ -467,13 +472,13 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
 
 
 def not_held(what: str, A: Array, lacking: str) -> UnstableError:
-    """Return the error that a gain needs more digits than it is stored with, and what those that are stored lack."""
+    """Return the error for a gain that needs more digits than a double has. ``lacking`` says what is inaccurate."""
     grows, often = radius(A), ""
     if grows > _FAST:
         lacking, often = f"{lacking}; the plant grows by up to {grows:.1e} within a step", "a shorter period, "
     return UnstableError(
         f"the optimal gain of the {what} has more digits than a double holds: {lacking}; expected {often}modes that "
-        "are moved and measured more strongly, or a plant without them"
+        "inputs affect and outputs show more strongly, or a plant without such modes"
     )
 
 
@@ -490,7 +495,7 @@ def _proved_solution(
     price = H - (pushed @ given.B).symmetric().times(slack)
     lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
     if not ((falls.times(slack) - missed).definite() and lower.definite()):
-        raise UnprovedError("the error of the cost-to-go is not proved")
+        raise UnprovedError("no bound on the error of the cost-to-go could be proved")
     return X, slack, F
 
 
@@ -525,7 +530,7 @@ def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
-    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F."""
+    """Return a bound on the additional cost of a gain with the closed loop F, by ``off`` from the best gain."""
     # It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
     if not off.most.any():
         return np.zeros(X.shape)

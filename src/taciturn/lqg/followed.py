@@ -1,4 +1,4 @@
-"""Regulator equations: the states and inputs at which signals that no input moves cost nothing.
+"""Regulator equations: states and inputs at which external signals, which no input affects, cause no cost.
 
 Let d⁺ = Sd be such signals, and x⁺ = Ax + Bu + Ed the other states. Suppose that
 
@@ -47,7 +47,7 @@ EXACTLY = 1e-13  # relative cost left that is rounding
 
 
 class Resting(NamedTuple):
-    """Equations A X + B U + E = X S and Z [X; U] + F = 0, for a vector of the columns of X and then of U."""
+    """The linear equations A X + B U + E = X S and Z [X; U] + F = 0, for all entries of X and U as one vector."""
 
     matrix: Array
     right: Array
@@ -55,7 +55,7 @@ class Resting(NamedTuple):
 
     @classmethod
     def of(cls, A: Array, B: Array, S: Array, E: Array, *wanted: tuple[Array, Array]) -> Resting:
-        """Return the equations, with one Z [X; U] + F = 0 for each of the ``wanted`` (Z, F)."""
+        """Set up the equations. Each pair (Z, F) in ``wanted`` adds an equation Z [X; U] + F = 0."""
         n, m = B.shape
         same: Array = np.eye(len(S))
         rows = [np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])]
@@ -65,20 +65,21 @@ class Resting(NamedTuple):
         if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
             raise ProblemError(
                 "the effects of disturbances or set-points on each other differ by a factor beyond the range of "
-                "numbers; expected effects nearer to 1, such as a faster or a constant disturbance"
+                "double precision; expected effects of similar size, for example with a faster or a constant "
+                "disturbance"
             )
         return cls(matrix, right, (n, m, len(S)))
 
     def smallest(self) -> Array:
-        """Return the smallest vector of least squares."""
+        """Return the least-squares solution of the equations that has the smallest norm."""
         return np.asarray(np.linalg.lstsq(self.matrix, self.right, rcond=None)[0], dtype=np.float64)
 
     def missed(self, vector: Array) -> float:
-        """Return the largest residual."""
+        """Return the largest residual of the equations at a vector."""
         return float(np.abs(self.matrix @ vector - self.right).max(initial=0.0))
 
     def split(self, vector: Array) -> tuple[Array, Array]:
-        """Return X and U."""
+        """Split the vector of unknowns into the matrices X and U."""
         n, m, q = self.sizes
         return vector[: n * q].reshape(q, n).T, vector[n * q :].reshape(q, m).T
 
@@ -86,7 +87,7 @@ class Resting(NamedTuple):
 def regulator_equations(
     A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, with the least cost of x = X d, u = U d."""
+    """Solve A X + B U + E = X S and C_z X + D_z U + F = 0. If there are several solutions, return the cheapest one."""
     n, m = B.shape
     state, unit = reach(A, B)  # so that the result does not depend on the units
     units = np.concatenate([state, unit])
@@ -105,7 +106,7 @@ def regulator_equations(
             more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
             raise ProblemError(
                 f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
-                "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
+                "reference.outputs as inputs, each affected by an input, and disturbances that the inputs can cancel"
             )
         return rest, found
 
@@ -141,7 +142,7 @@ def _sizes(found: Array, S: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Followed(Displayed):
-    """Deviations of states and inputs from those that cost nothing."""
+    """A problem in the deviations of its states and inputs from those that cost nothing."""
 
     states: Bits  # mask of the states d, (n,)
     T: Array  # matrix of the deviations (x − Xd, d) in the order of the states, (n, n)
@@ -151,17 +152,17 @@ class Followed(Displayed):
 
     @property
     def inputs(self) -> Array:
-        """The inputs that cost nothing, without rounding errors of entries that are zero, (m, n)."""
+        """Matrix, (m, n), that maps the states to the inputs that cost nothing, without rounding errors."""
         return np.where(np.abs(self.U) > CANCELS * np.abs(self.U).max(), self.U, 0.0)
 
     def outputs(self, C: Array) -> Array:
-        """Return combinations Cx at the states x = Xd that cost nothing, as a matrix of all states."""
+        """Return the outputs Cx at the states x = Xd that cost nothing, as a matrix that multiplies all states."""
         moved = C[:, ~self.states], self.T[~self.states]
         found, size = C - moved[0] @ moved[1], (np.abs(C) + np.abs(moved[0]) @ np.abs(moved[1])).max(axis=1)
         return np.where(self.states & (np.abs(found) > CANCELS * size[:, None]), found, 0.0)
 
     def wanders(self, rows: Array, noise: Array) -> bool:
-        """Return whether a combination of the states d does not forget the noise that moves them."""
+        """Return whether noise accumulates without bound in one of the given combinations of the signals d."""
         d = self.states
         late, seen = self.problem.A[np.ix_(d, d)], rows[:, d]
         moved = np.diag(np.sqrt(np.diag(noise)[d]))
@@ -172,7 +173,9 @@ class Followed(Displayed):
         return effects[-1] > CANCELS * max(effects)
 
     def transients(self, L: Array, K: Array, H: Array, table: Array) -> tuple[float, float]:
-        """Return the effects of set-points that change at known times, which are no noise of mean zero."""
+        """Return the cost per step of set-points that change at known times, and their effect on the cost of not
+        sending.
+        """
         # A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So
         # the cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error
         # e of the input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
@@ -198,7 +201,7 @@ class Followed(Displayed):
 
 
 def followed(given: Quadratic) -> Followed | None:
-    """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
+    """Find the states and inputs that cost nothing; return the problem in deviations, or None if none are found."""
     free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))
     if not free.any():
         return None
@@ -245,7 +248,7 @@ def _cancelled(given: Quadratic, states: Bits, most: float) -> Followed | None:
 
 
 def _lasting(A: Array, free: Bits) -> tuple[Bits, Bits]:
-    """Return the states that no input moves and that do not decay, with those that affect each other, and alone."""
+    """Return the states that no input affects and that do not decay, with those that affect each other, and alone."""
     leads = paths(np.asarray(A != 0, dtype=np.bool_).T)
     found, left = np.zeros_like(free), free.copy()
     while left.any():

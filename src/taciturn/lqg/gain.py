@@ -1,4 +1,4 @@
-"""The H∞ norm of a linear system in discrete time: the largest factor by which it amplifies a signal in mean square.
+"""The H∞ norm of a discrete-time linear system, which is its largest gain from input to output in the mean square.
 
 The norm of x⁺ = A x + B d, ζ = C x + D d is the largest singular value of C(e^{iω}I − A)⁻¹B + D over all frequencies ω.
 So its value at many frequencies is a lower bound. A number γ is an upper bound if and only if there is a P ⪰ 0 with
@@ -26,7 +26,7 @@ _SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of 
 
 
 def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
-    """Return an upper bound on the H∞ norm of x⁺ = A x + B d, ζ = C x + D d, mostly at most 1e-6 above it."""
+    """Return an upper bound on the H∞ norm of x⁺ = A x + B d, ζ = C x + D d. It is usually accurate to 1e-6."""
     units, _ = reach(A, B)  # so that the result does not depend on the units of the states
     A, B, C = A / units[:, None] * units, B / units[:, None], C * units
     reached = invariant(unit_columns(B), (A,))
@@ -38,8 +38,8 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
         return direct
     if radius(A) >= 1 - _EDGE:
         raise UnstableError(
-            f"the loop has a mode of modulus {radius(A):.6g} that reaches the cost; expected a loop that is stable "
-            "with every sample"
+            f"the loop has a mode of modulus {radius(A):.6g} that affects the cost; expected a loop that is stable if "
+            "it sends every sample"
         )
     least = max(direct, _largest(A, B, C, D))
     for excess in _EXCESSES:
@@ -47,7 +47,8 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
         if any(_exceeds(A, B, C, D, level, slack) for slack in _SLACK):
             return level
     raise UnstableError(
-        f"no bound on the gain of the loop was found, which is at least {least:.6g}; expected modes that decay faster"
+        f"the gain of the loop is at least {least:.6g}, but no upper bound on it was found; expected modes that decay "
+        "faster"
     )
 
 

@@ -1,4 +1,4 @@
-"""Steady Kalman filters, including filters for noise-free measurements.
+"""Steady-state Kalman filters. Measurements may also be without noise.
 
     Σ̃ = AΣA' + W,   S = CΣ̃C' + V,   gain = Σ̃C'S⁻¹,   Σ = Σ̃ − gain S gain'
 
@@ -38,7 +38,7 @@ CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Filter(Displayed):
-    """A steady Kalman filter, x̂ = x̂⁻ + gain (y − C x̂⁻) with the prediction x̂⁻, and its covariances.
+    """A steady-state Kalman filter x̂ = x̂⁻ + gain (y − C x̂⁻), where x̂⁻ is the prediction, and its error covariances.
 
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, and ``innovation`` is the
     covariance S of y − C x̂⁻. The corrections of the estimate have the covariance gain S gain' = prior − posterior.
@@ -56,7 +56,7 @@ class Filter(Displayed):
 
 
 def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
-    """Return the stable steady Kalman filter of the plant x⁺ = Ax + w, y = Cx + v.
+    """Compute the stable steady-state Kalman filter of the plant x⁺ = Ax + w, y = Cx + v.
 
     Σ̃ = AΣA' + W,  S = CΣ̃C' + V,  gain = Σ̃C'S^{-1},  Σ = Σ̃ − gain S gain', with A − A gain C stable.
 
@@ -105,13 +105,13 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,)."""
+    """Mark the states, (n,), with an unobservable mode on the unit circle that no noise excites."""
     # The estimation error of these states remains that of the start.
     return worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).resting
 
 
 def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
-    """Return whether the filter from any start tends to the steady one."""
+    """Return whether the filter gains converge to those of the steady-state filter from every initial covariance."""
     # It does if noise reaches all modes that do not decay, except those of the resting states.
     if plant.full_state or is_definite(plant.W):
         return True
@@ -122,7 +122,7 @@ def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
-    """Raise an error if an uncertain initial state causes a cost forever because no measurement corrects it."""
+    """Raise an error if the cost always depends on an uncertain initial state that no measurement corrects."""
     resting = resting_states(plant)
     unknown = np.flatnonzero(resting & (plant.covariance.diagonal() > 0))
     if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
@@ -134,7 +134,7 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
 
 
 def forgetting(plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str) -> float:
-    """Return the time constant, in steps, of a Kalman filter together with a regulator."""
+    """Return the time constant, in steps, of the loop of a Kalman filter and a regulator."""
     # 1/(1 − |slowest mode per step|) of a steady filter, or of one whose gains repeat along a schedule, without the
     # modes of ``resting_states``
     moving = ~resting_states(plant)
@@ -149,7 +149,7 @@ def forgetting(plant: Plant, filtered: Sequence[Array], regulated: float, remedy
 
 @remembered
 def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
-    """Return the steady Kalman filter of a plant in doubles, whose A and W may be known to any precision."""
+    """Compute the steady-state Kalman filter of a plant. ``exact`` gives A and W more precisely than doubles do."""
     # The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
     # outputs have no noise: the filter takes them over, also those that never move.
     n, p = len(A) - given, len(C) - given
@@ -239,8 +239,9 @@ def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, s
                 "faster or that are measured more strongly, or noise W on every state"
             ) from None
         raise UnstableError(
-            "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
-            f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"
+            "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a "
+            f"mode on the unit circle, or the proof needs more than 1,024 bits ({error}); expected a larger V: add a "
+            "small positive definite matrix to it"
         ) from None
     if found.lacking:
         raise not_held("filter", A, found.lacking)
@@ -273,14 +274,15 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
         named = f"A has the eigenvalue {mode_text(mode, digits)}, which C does not observe"
         if not (lost.growing.size or noisy.staying.size):
             raise UnstableError(
-                f"{named}; it lies on {limit} and noise W does not reach it, but it is a combination of several "
-                "states, and such a mode is accepted only if it is a state of its own; expected coordinates in which W "
-                "and A have zeros for the state of this mode, or a problem without it"
+                f"(A, C) is not detectable: {named}; this mode lies on {limit}, noise W does not affect it, and it is "
+                "a combination of several states, but such a mode is accepted only if it is a single state; expected "
+                "coordinates in which it is a single state, for which W and A have zeros, or a problem without this "
+                "mode"
             )
         on_edge = "" if lost.growing.size else f"; it lies on {limit} and noise W reaches it"
         raise UnstableError(
-            f"{named}{on_edge}; expected (A, C) detectable: every eigenvalue on or outside {limit.text(digits)} must "
-            "be observable; add a sensor, or remove the state of this mode from the problem"
+            f"(A, C) is not detectable: {named}{on_edge}; expected (A, C) detectable: every eigenvalue on or outside "
+            f"{limit.text(digits)} must be observable; add a sensor, or remove the state of this mode from the problem"
         )
     noisy, still = is_definite(seen.R), unpaid(seen, limit).staying
     if still.size and not noisy:  # a mode that W does not reach needs noise W, also with noise V
@@ -289,10 +291,10 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on {limit}, which the noise W does not reach, so the "
-            "optimal gain tends to zero and no steady filter is stable; give W a small positive part"
+            "optimal gain tends to zero and no steady filter is stable; add a small positive definite matrix to W"
             if noisy
             else f"outputs without noise V leave the mode {mode_text(complex(still[0]))} on {limit}, so no steady "
-            "filter is stable; give V a small positive part"
+            "filter is stable; add a small positive definite matrix to V"
         )
 
 

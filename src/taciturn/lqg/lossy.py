@@ -1,4 +1,4 @@
-"""Optimal control over links that drop packets: finite-horizon and steady gains, and critical loss probabilities.
+"""Optimal control over links that drop packets: finite-horizon and stationary gains, and critical loss probabilities.
 
 The actuator applies zero if no packet arrives. A packet of the sensor link contains the state. With the losses α of the
 actuator link and β of the sensor link, the cost-to-go has a weight K of the estimate and a weight P of its error:
@@ -48,7 +48,7 @@ MOST_MODES = 12  # most modes on or outside the unit circle for which critical l
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LossyRegulator(Displayed):
-    """Optimal gains over lossy links, u = L x̂, with the cost x̂'Γx̂ of silence and the cost e'Pe of an error e.
+    """Optimal gains u = L x̂ over lossy links: not sending costs x̂'Γx̂, and an estimation error e costs e'Pe.
 
     K and P are (n, n), L is (m, n), and Gamma is (n, n). For a finite horizon they have one more leading axis, of
     length N + 1 for K and P, and N for L and Gamma. The least cost of noise, and that of the gain L, differ from
@@ -63,7 +63,7 @@ class LossyRegulator(Displayed):
 
 
 def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
-    """Return the gains that minimise the infinite-horizon average cost over links that drop packets.
+    """Compute the gain with the least average cost, over an infinite horizon, for links that drop packets.
 
     They are the fixed point of :func:`lossy_step`.
 
@@ -109,7 +109,8 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         gain = plant.gain(channel)
         if gain is None:
             raise UnstableError(
-                f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
+                f"the loop is not mean-square stable: {loss_sentence(A, B, channel)}; expected smaller loss "
+                "probabilities, or a finite horizon (cost.horizon)"
             )
         L = gain * state / unit[:, None]
     K, T = _iterated(here, L, channel)
@@ -125,9 +126,9 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
         return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
     raise UnstableError(
-        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
-        "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
-        "states that decay faster"
+        f"the gains over lossy links could not be proved to have an error of at most {ASKED:.0e} of the cost-to-go of "
+        f"each state: {reason}; expected loss probabilities further from their critical values, modes that the inputs "
+        "affect more strongly, or states that decay faster"
     )
 
 
@@ -147,8 +148,8 @@ def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array
             return K, T
         previous, L = change, following[2]
     raise UnstableError(
-        "the gains over lossy links could not be computed: the cost of a gain is too large; expected losses further "
-        "from their critical values"
+        "the gains over lossy links could not be computed: the cost with a computed gain is too large; expected loss "
+        "probabilities further from their critical values"
     )
 
 
@@ -172,7 +173,7 @@ def _proved(
             scale = [sizes(here.A, here.Q, one.middle, _CRUMB) for one in (own, both)]
             X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in scale)))
         except np.linalg.LinAlgError as error:
-            raise UnprovedError("the cost of the gain is too large") from error
+            raise UnprovedError("the cost with the computed gain is too large") from error
         try:
             slack = step.proved(own, both, X, Z, scale)
         except UnprovedError as error:
@@ -195,7 +196,7 @@ def _proved(
 def lossy_step(
     A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the weights K, P and Γ and the gain L of one step over lossy links, from K and P of the next step.
+    """Compute the weights K, P, Γ and the gain L of a step over lossy links, from the weights K and P after the step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
@@ -224,7 +225,7 @@ def lossy_step(
 def regulate_lossy_finite(
     A: Array, B: Array, Q: Array, R: Array, terminal: Array, horizon: int, channel: Channel
 ) -> LossyRegulator:
-    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets."""
+    """Compute the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets."""
     # The recursion starts with K_N = Q_N and P_N = 0. If a cost-to-go is so much smaller than another one that rounding
     # could hide it, the recursion is computed with more digits than doubles have, until these change nothing.
     n, m = B.shape
@@ -237,8 +238,9 @@ def regulate_lossy_finite(
             overflown = not np.isfinite(K[k] @ K[k] + P[k] @ P[k]).all()
         if overflown:
             raise UnstableError(
-                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the losses "
-                "are too large for this plant; expected a shorter horizon, or smaller losses"
+                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the loss "
+                "probabilities are too large for this plant; expected a shorter horizon, or smaller loss "
+                "probabilities"
             )
         if repetition.fills((K, P, L, Gamma), k, K[k], P[k]):
             break
@@ -257,7 +259,7 @@ def _is_narrow(form: Array) -> bool:
 
 
 def _finite_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel: Channel) -> FourMatrices:
-    """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing."""
+    """Return K, P, L and Γ of :func:`regulate_lossy_finite`, which do not change with twice the number of bits."""
     before: FourMatrices | None = None
     for bits in PRECISIONS:
         with precision(bits):
@@ -271,8 +273,8 @@ def _finite_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel
                 return found
         before = found
     raise UnstableError(
-        f"the costs-to-go over lossy links differ so much after {horizon} steps that 1,024 bits do not hold their "
-        "sums; expected a shorter horizon, or smaller losses"
+        f"the costs-to-go over lossy links differ so much after {horizon} steps that 1,024 bits are too few for their "
+        "sums; expected a shorter horizon, or smaller loss probabilities"
     )
 
 
@@ -300,7 +302,7 @@ def _recursion_in_balls(given: FourMatrices, terminal: Array, horizon: int, chan
 
 
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
-    """Return the critical loss probability of each link at the given loss probability of the other link.
+    """Compute the critical loss probability of each link, given the loss probability of the other link.
 
     The actuator link is first. At or above either value, no linear control keeps the mean square of an unstable plant
     bounded. A value is 1 if losses on the link cannot make the plant unstable, and 0 if the losses on the other link
@@ -319,7 +321,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
-    """Return a sentence that states the loss probabilities and their limits for mean-square stability."""
+    """Write a sentence with the loss probabilities, and their limits for mean-square stability."""
     plant = Lasting(A, B)
     many = plant.count > MOST_MODES
     limits: list[str] = []
@@ -335,7 +337,7 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
 
 
 def no_gain_survives(A: Array, B: Array, channel: Channel) -> bool:
-    """Return whether no linear gain keeps the mean square of a growing plant bounded, as is proved."""
+    """Return whether it is proved that, for an unstable plant, every linear gain makes the mean square unbounded."""
     # Only modes that inputs move, and at most twelve that do not decay, are examined.
     if radius(A) <= 1 or unmoved(A, B, Limit(False)).lasting.size:
         return False

@@ -1,4 +1,4 @@
-"""Optimal control with sends at fixed steps: one input that is held in a cycle of intervals, or links with own periods.
+"""Optimal control with sends at fixed steps: one held input with a cycle of intervals, or several periodic links.
 
 **One link.** An interval of k steps with a constant input is one step of a slower plant, the lifted plant:
 
@@ -7,6 +7,11 @@
 A cycle of intervals is one step of an even slower plant, whose input contains the inputs of all sends. One Riccati
 equation gives the cost-to-go at the start of the cycle; one backward step per interval gives the other costs-to-go and
 the gains. Many cycles are first screened by doubling without an error check.
+
+A disturbance or a set-point d that lasts costs nothing only if a held input follows it: if Ud stays (``followed``).
+Otherwise its cost grows without limit, and no average exists. Since the mode of d lies on the unit circle only up to
+the rounding of its matrix, such as the cosine of a sinusoid, the Riccati equation of the doubles may still have a huge
+solution. So ``Held`` refuses these cycles before it solves anything.
 
 **Several links,** each with a period and a phase of its own. A packet of a sensor contains all its measurements so far.
 So the error covariance of the estimate at a step depends only on the age of the last packet of each sensor: it is that
@@ -29,10 +34,12 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._display import Displayed
+from taciturn._progress import check_time
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import Doubles, E, UnprovedError, block
 from taciturn.lqg.equation import Equation
+from taciturn.lqg.followed import CANCELS, followed
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.quadratic import Quadratic, Span, price
 from taciturn.lqg.queries import Predictor
@@ -49,7 +56,9 @@ _MOST_STEPS = 20_000  # steps of the backward iteration
 def lift(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int, factor: float = 1.0
 ) -> Sampled:
-    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step."""
+    """Return the lifted LQ problem: one of its steps consists of ``every`` steps of the given problem, with a held
+    input.
+    """
     # W_k = Σ_{j<k} A^jWA'^j, and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
@@ -67,13 +76,14 @@ def lift(
         return sampled(build, n + m)
     except ProblemError:
         raise ProblemError(
-            f"every is {every}, over which the state overflows; hold the input for fewer steps"
+            f"every = {every}, and in so many steps the state overflows; expected a smaller value: hold the input for "
+            "fewer steps"
         ) from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pattern(Displayed):
-    """A periodic pattern of sends with given intervals, with its optimal gains, costs-to-go and average cost."""
+    """A repeating pattern of intervals between sends, with its optimal gains, costs-to-go and average cost."""
 
     intervals: tuple[int, ...]  # steps from one send to the next, over one period
     gains: Array  # u = L x̂ at each send, held until the next, (sends, m, n)
@@ -110,14 +120,26 @@ class Held:
         except TaciturnError:
             return None
 
+    @cached_property
+    def _follows(self) -> bool:
+        """Whether an input that is held follows the disturbances and set-points that last: whether Ud stays."""
+        own = Quadratic.checked(*self._tick[:5])
+        change = followed(own)
+        if change is None:
+            return True
+        U, S = change.inputs, change.problem.A
+        moved = U @ S - U
+        moved[np.abs(moved) <= CANCELS * (np.abs(U) @ np.abs(S) + np.abs(U))] = 0.0
+        return not change.wanders(moved, np.eye(len(S)))
+
     def lifted(self, ticks: int) -> Sampled:
-        """Return the LQ problem in which the input is held for a number of steps, or changes by the factor."""
+        """Return the LQ problem lifted over ``ticks`` steps. Between sends, the input is held or decays by a factor."""
         if ticks not in self._known:
             self._known[ticks] = lift(*self._tick, ticks, self._factor)
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return approximate costs of many cycles with equal numbers of intervals; inf for one that was not found."""
+        """Compute approximate costs of many cycles with equally many intervals; infinite if no cost was found."""
         # by doubling without an error check: enough to show which cycles are worth solving
         ticks = sorted({interval for cycle in listed for interval in cycle})
         parts, chosen = [self.lifted(interval) for interval in ticks], np.searchsorted(ticks, np.array(listed))
@@ -135,10 +157,18 @@ class Held:
                 noise = noise + ((last + K) * np.array([part.W for part in parts])[chosen[:, k]]).sum(axis=(1, 2))
                 K = stages[k].before(K)
         cost = noise / np.array(listed).sum(axis=1)
+        if not self._follows:
+            cost[np.array(listed).max(axis=1) > 1] = np.inf
         return np.where(np.isfinite(cost) & (cost > 0), cost, np.inf)
 
     def solve(self, intervals: Sequence[int]) -> Pattern:
-        """Return the optimal gains and the average cost of a cycle of intervals with held inputs."""
+        """Compute optimal gains and average cost for a cycle of intervals, in each of which the input is held."""
+        if max(intervals) > 1 and not self._follows:
+            raise UnstableError(
+                "a lasting disturbance or set-point requires an input that changes between sends, but the input is "
+                "held, so the cost grows without limit and has no average; expected a packet at every step, or a "
+                "constant disturbance"
+            )
         stretches = [self.lifted(ticks) for ticks in intervals]
         try:
             values = [_at_the_start(stretches)]
@@ -167,7 +197,7 @@ def _at_the_start(stretches: Sequence[Sampled]) -> Array:
     try:
         rough = _joined(Doubles, [Equation(*map(Doubles.exact, stretch.quadratic)) for stretch in stretches])
     except UnprovedError as error:
-        raise UnstableError(f"the cost cannot be computed: {error}") from None
+        raise UnstableError(f"the cost of periodic control cannot be computed: {error}") from None
     return regulate_for(Quadratic(*(part.middle for part in rough)), recipe).K
 
 
@@ -188,7 +218,7 @@ def _joined(arithmetic: type[E], steps: Sequence[Equation[E]]) -> Equation[E]:
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
-    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end."""
+    """Compute cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end."""
     H, inverse = price(stretch.B, K, stretch.R)
     if not (is_definite(stretch.R) or is_definite(H)):
         raise costs_nothing(H)
@@ -197,12 +227,12 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of ``sends`` intervals with the sum ``length``; of each, only the largest rotation."""
+    """Yield every cycle of ``sends`` intervals of the total length ``length``. Rotations of a cycle count as equal."""
     return _extended((), length, sends, range(1, length + 1))
 
 
 def cycles(intervals: Sequence[int], most: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of up to ``most`` intervals that repeat no shorter cycle, but only one rotation of each."""
+    """Yield every cycle of at most ``most`` intervals, without rotations and repetitions of shorter cycles."""
     low, high = min(intervals), max(intervals)
     for sends in range(1, most + 1):
         for length in range(low * sends, high * sends + 1):
@@ -223,26 +253,26 @@ def _extended(head: tuple[int, ...], left: int, sends: int, intervals: Sequence[
 
 
 class Timing(NamedTuple):
-    """The steps at which a link sends: ``phase``, ``phase + period``, …"""
+    """The steps at which a link sends periodically: ``phase``, ``phase + period``, …"""
 
     period: int  # steps from one packet to the next
     phase: int = 0  # first step, less than the period
 
     def age(self, step: int) -> int:
-        """Return the number of steps since the last packet."""
+        """Return the number of steps since the link last sent."""
         return (step - self.phase) % self.period
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MultirateControl(Displayed):
-    """The least cost of control over links that send at fixed steps."""
+    """Computes the least cost of control over several links, each of which sends at fixed steps."""
 
     problem: Discrete  # the discrete-time problem, with an average cost
     network: Network  # the nodes and links, which deliver every packet; a node without a link sends in every step
     plans: bool  # whether a packet to an actuator contains the inputs until the next packet, or one input that is held
 
     def cost(self, timings: Mapping[str, Timing]) -> float:
-        """Return the least cost, in the units of the problem, of links with given timings."""
+        """Compute the least cost, in the units of the problem, if the links send at the given steps."""
         inputs = tuple(timings[link] for link in self._linked)
         sensors = tuple(timings[link] for link in self._heard)
         if inputs not in self._known:
@@ -304,6 +334,7 @@ class MultirateControl(Displayed):
         K, size = np.zeros(steps[0].A.shape), 1.0
         values, squares = [K] * cycle, [K] * cycle
         for _ in range(max(2, _MOST_STEPS // cycle)):
+            check_time()
             before = K
             for step in reversed(range(cycle)):
                 values[step] = K[:n, :n]
@@ -315,7 +346,9 @@ class MultirateControl(Displayed):
             if float(np.abs(K - before).max()) <= _SETTLED * size:
                 return values, squares
         named = ", ".join(f"{link} every {one.period} steps" for link, one in zip(self._linked, timings, strict=True))
-        raise UnstableError(f"the plant is not stabilised by packets {named}; expected shorter periods")
+        raise UnstableError(
+            f"periodic packets on the links ({named}) do not stabilise the plant; expected shorter periods"
+        )
 
     def _step(self, timings: tuple[Timing, ...], step: int) -> Quadratic:
         """Return the transition, inputs and weights of a step, over the state x and the inputs of later steps."""

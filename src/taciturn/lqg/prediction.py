@@ -1,4 +1,4 @@
-"""Cost of control with a predicted state, from the prediction error between successive corrections.
+"""Cost of control with a predicted state, which follows from how the prediction error grows between corrections.
 
 The input is u = L x̂ with the gain of the continuous-time regulator, and a model predicts x̂ between corrections. The
 error e = x − x̂ obeys ė = A e + noise of intensity W and is 0 after a correction, so s seconds later its covariance is
@@ -30,7 +30,7 @@ _FINER, _ROUNDS = 42, 3  # of them about the least ratio, in turn
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PredictionCost(Displayed):
-    """Cost per second of control u = L x̂, where a model predicts x̂ and a policy decides when x̂ is corrected.
+    """Cost per second of control u = L x̂, where a model predicts x̂, and a policy decides when to correct x̂.
 
     The error e = x − x̂ obeys ė = A e + noise and is 0 after a correction. The cost is tr(PW) + E[e'S e], S = L'RL.
     With a correction every h seconds, J_per(h) = tr(PW) + g(h), where g(h) = (1/h) tr(S ∫_0^h V(s) ds) and
@@ -53,7 +53,7 @@ class PredictionCost(Displayed):
     base: float
 
     def flow(self, length: float) -> Array:
-        """Return e^{Ah}, (n, n)."""
+        """Return the transition matrix e^{Ah} for an interval of h seconds, (n, n)."""
         return self._over(length).A
 
     def spread(self, length: float) -> Array:
@@ -61,19 +61,19 @@ class PredictionCost(Displayed):
         return self._over(length).W
 
     def weight(self, length: float) -> Array:
-        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of an error's cost over the next h seconds, (n, n)."""
+        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of the cost of an error over h seconds, (n, n)."""
         return self._over(length).Q
 
     def growth(self, length: float) -> float:
-        """Return g(h), the cost per second that corrections every h seconds add to the cost with a known state."""
+        """Return g(h), the cost per second that the prediction errors add if the state is corrected every h seconds."""
         return self._over(length).noise_cost / length
 
     def periodic(self, length: float) -> float:
-        """Return J_per(h), the cost per second with corrections every h seconds."""
+        """Return J_per(h), the cost per second if the state is corrected every h seconds."""
         return self.base + self.growth(length)
 
     def slope_in_rate(self, length: float) -> float:
-        """Return −dJ_per/dr = h² g'(h), by which the periodic cost decreases per unit of the correction rate r = 1/h.
+        """Return −dJ_per/dr = h² g'(h): by how much the periodic cost falls per unit of the correction rate r = 1/h.
 
         It equals tr(S(hV(h) − ∫_0^h V)).
         """
@@ -82,11 +82,11 @@ class PredictionCost(Displayed):
 
     @property
     def initial_slope(self) -> float:
-        """Slope g'(0+) = ½ tr(SW) of the prediction cost g(h) at intervals h near zero."""
+        """Slope g'(0+) = ½ tr(SW), at the interval h = 0, of the prediction cost g(h)."""
         return float(np.sum(self.S * self.W)) / 2
 
     def least_ratio(self, shortest: float, longest: float) -> tuple[float, float]:
-        """Return the infimum of the ratio g(h)/h of prediction cost to interval, and the h at which it is attained.
+        """Compute the infimum over h of g(h)/h, where g is the prediction cost, and the interval h that attains it.
 
         If g is convex, the infimum is at the left end; for shortest = 0 it is g'(0+).
 

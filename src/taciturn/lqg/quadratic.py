@@ -1,4 +1,4 @@
-"""Linear-quadratic problems in double precision: matrices, the price of an input, many steps, and their structure.
+"""Linear-quadratic problems in double precision: matrices, input weights, many steps at once, and structure.
 
 One step back changes a cost-to-go K to Q + A'KA − (A'KB + N)H⁻¹(B'KA + N') with the weight H = R + B'KB of an input.
 Many steps are a ``Span``: relative to a terminal weight X ≻ 0, they map a change Δ of it to K + F'Δ(I + GΔ)⁻¹F. Spans
@@ -52,7 +52,7 @@ _MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matric
 
 
 class Quadratic(NamedTuple):
-    """A linear-quadratic regulator problem: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+    """A linear-quadratic regulator problem with dynamics (A, B) and weights [[Q, N], [N', R]]."""
 
     A: Array
     B: Array
@@ -62,7 +62,7 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def checked(cls, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Quadratic:
-        """Return the regulator problem with the given matrices, after a check of their shapes and symmetry."""
+        """Make a regulator problem of the given matrices, after checking their shapes and their symmetry."""
         A = _arrays.square("A", A, "states × states")
         B = _arrays.array("B", B, (len(A), None), "states × inputs")
         n, m = B.shape
@@ -75,37 +75,39 @@ class Quadratic(NamedTuple):
         )
 
     def among(self, states: Bits) -> Quadratic:
-        """Return the regulator problem restricted to some of the states."""
+        """Return the regulator problem restricted to a subset of the states."""
         A, B, Q, R, N = self
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
     def beside(self, place: int, S: Array, P: Array) -> Quadratic:
-        """Return the problem with further states z⁺ = S z + P u, which cost nothing and move no other state."""
+        """Extend the problem by states z⁺ = S z + P u, which cost nothing and do not affect the other states."""
         kept, more = placed(len(self.A), place, len(S))
         A, B, Q, R, N = self
         return Quadratic(kept @ A @ kept.T + more @ S @ more.T, kept @ B + more @ P, kept @ Q @ kept.T, R, kept @ N)
 
     def back(self, K: Array) -> tuple[Array, Array]:
-        """Return the cost-to-go before an optimal step, and how much its input saves, from the cost-to-go after it."""
+        """Return the cost-to-go one step before K with the optimal input, and by how much this input reduces it."""
         off = self.B.T @ K @ self.A + self.N.T
         saved = off.T @ price(self.B, K, self.R)[1] @ off
         return symmetrised(self.Q + self.A.T @ K @ self.A - saved), symmetrised(saved)
 
     def under(self, L: Array) -> tuple[Array, Array]:
-        """Return the closed-loop matrix A + BL for a gain L, and the weight of the state in its stage cost."""
+        """Return A + BL and the weight of the state in the stage cost, if the input is u = L x."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
         return self.A + self.B @ L, symmetrised(stage)
 
 
 def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
-    """Return the maps of the old states, and of ``more`` states after the first ``place``, to all states in order."""
+    """Return two matrices: they place the old states, and ``more`` new states from index ``place`` on, among all
+    states.
+    """
     old, new = np.split(np.eye(states + more), [states], axis=1)
     order = np.insert(np.arange(states), [place] * more, range(states, states + more))
     return old[order], new[order]
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
-    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular."""
+    """Return the input weight H = R + B'KB and its inverse; for a singular H, its pseudo-inverse."""
     # A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
     # are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
     H = symmetrised(R + B.T @ K @ B)
@@ -125,7 +127,7 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 class Span(NamedTuple):
-    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight."""
+    """Several steps with optimal inputs, as a map: the cost-to-go after them, X + Δ, determines the one before them."""
 
     # The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite
     # even if R is not. A stack of problems has stacks of matrices.
@@ -136,18 +138,18 @@ class Span(NamedTuple):
 
     @classmethod
     def of(cls, given: Quadratic, last: Array, inverse: Array) -> Span:
-        """Return one step: F = A + BL, G = BH^{-1}B', K = Ric(X) − X, L = −H^{-1}(B'XA + N')."""
+        """Return the map of one step: F = A + BL, G = BH^{-1}B', K = Ric(X) − X, with L = −H^{-1}(B'XA + N')."""
         A, B, Q, _, N = given
         off = B.T @ last @ A + N.T
         K = Q - last + A.T @ last @ A - off.T @ inverse @ off
         return cls(A - B @ inverse @ off, symmetrised(B @ inverse @ B.T), symmetrised(K))
 
     def then(self, later: Span) -> Span:
-        """Return these steps and later ones."""
+        """Combine these steps with the steps that follow them."""
         return self._through(later, *self._onto(later.K))
 
     def before(self, change: Array) -> Array:
-        """Return the Δ before the steps for the Δ after them."""
+        """Return the change Δ of the cost-to-go before the steps that a change after the steps causes."""
         return self._onto(change)[0]
 
     def _onto(self, change: Array) -> tuple[Array, Array]:
@@ -161,7 +163,9 @@ class Span(NamedTuple):
         return Span(later.F @ solved[..., :n], later.G + later.F @ solved[..., n:] @ later.F.mT, K)
 
     def for_ever(self, last: Array, crumb: Array | float = 0.0) -> Array:
-        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none."""
+        """Return the limit of the cost-to-go if the steps are repeated infinitely often; infinite or NaN without a
+        limit.
+        """
         # Each iteration doubles the number of steps, and leaves the square of the error before.
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -175,7 +179,7 @@ class Span(NamedTuple):
 
 
 def _divided(matrix: Array, right: Array) -> Array:
-    """Return M^{-1}R for one matrix or a stack; NaN for singular matrices, without effect on the others."""
+    """Return M^{-1}R for one matrix or a stack; NaN for singular matrices, without effect on other matrices."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -185,12 +189,12 @@ def _divided(matrix: Array, right: Array) -> Array:
 
 
 def in_powers_of_two(sizes: Array) -> Array:
-    """Return 1/√size as powers of two, the units in which a form with this diagonal has entries near 1; 1 for 0."""
+    """Round 1/√size to powers of two. In these units, a form with the diagonal ``size`` has entries near 1."""
     return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))
 
 
 class Worth(NamedTuple):
-    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others."""
+    """Partition of the states into those with and those without a cost-to-go, and the modes of the latter."""
 
     states: Bits  # the states with a cost-to-go, for which the equation must be solved, (n,)
     decaying: Modes  # decaying modes of the other states
@@ -202,7 +206,7 @@ Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and dis
 
 
 def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, before: Before | None = None) -> Worth:
-    """Return the states with a nonzero cost-to-go, and the modes of the other states."""
+    """Find the states with a nonzero cost-to-go, and the modes of all other states."""
     # A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
     # weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
     # sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
@@ -251,7 +255,7 @@ def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Free(Displayed):
-    """Inputs that cost nothing, and the subspace in which they move the state."""
+    """Inputs that never cause a cost, and the subspace of states that they can reach."""
 
     # A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
     # u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
@@ -264,7 +268,7 @@ class Free(Displayed):
 
 
 def unpaid(given: Quadratic, limit: Limit) -> Lost:
-    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs."""
+    """Return the modes with which inputs can keep the state moving without cost; none if some inputs cost nothing."""
     # They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
     # invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an
     # optimal gain has them, mirrored into the region of decay. So none of them may lie on its edge.
@@ -299,7 +303,7 @@ def _kept_for_nothing(given: Quadratic, rows: fmpq_mat) -> tuple[fmpq_mat, fmpq_
 
 
 def free_inputs(given: Quadratic, rows: fmpq_mat) -> Free | None:
-    """Return the inputs of a problem that cost nothing, now or later; None if there is none."""
+    """Find the inputs that cost nothing, now and later; return None if there are no such inputs."""
     (n, m), z = given.B.shape, rows.nrows()
     safe, A, B, state, push = _kept_for_nothing(given, rows)
     inside, keeping, nothing = fmpq_mat(n, 0), fmpq_mat(m, 0), fmpq_mat(z, safe.ncols())

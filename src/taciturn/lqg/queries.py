@@ -1,4 +1,4 @@
-"""Schedules of sensor queries, from the value of a measurement to the controller, or from the variances of outputs.
+"""Sensor schedules: a query is worth its value for the controller, or is made if an output's variance is large.
 
 The controller uses the measurement of step k at step k + 1. Let Ric(Σ) be the next error covariance with a measurement,
 and P the weight of the error in the cost. If all later steps query the sensor, a query at Σ saves
@@ -68,7 +68,7 @@ Sensors = Mapping[str, Sequence[int]]  # the outputs of each sensor by its link;
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Weights(Displayed):
-    """Weights of the estimation error e in the cost: α^k e'P_k e at step k.
+    """Weights of the estimation error e in the cost, which at step k is α^k e'P_k e.
 
     Args:
         P: weight, (n, n), or one for each step of a finite horizon, (N, n, n).
@@ -80,12 +80,12 @@ class Weights(Displayed):
 
     @property
     def horizon(self) -> int | None:
-        """Number of steps of the horizon, or None for an infinite horizon."""
+        """Number of steps of the horizon; None for an infinite horizon."""
         return len(self.P) if self.P.ndim == 3 else None
 
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
-    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ."""
+    """Compute the sensor schedule that queries at step k if the value h(Σ_k) of a query exceeds its price ζ."""
     # It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that neither noise nor the
     # initial covariance ever makes uncertain, such as a set-point, has no error. It is left out: in the sums over all
     # later steps, a weight of such a state would not decay.
@@ -117,8 +117,8 @@ def _scheduled(
             return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
     if horizon is None:
         raise UnstableError(
-            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} steps; "
-            "expected another zeta, or a horizon"
+            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} steps; expected another "
+            "value of zeta, or a horizon"
         )
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
@@ -162,7 +162,7 @@ def _cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, i
 def follow_every_query(
     plant: Plant, initial: Array, horizon: int | None, discount: float = 1.0
 ) -> tuple[Array, int | None]:
-    """Return the error covariances with a sensor query at every step, and the step from which they repeat.
+    """Compute the error covariances with a sensor query at every step, and the step from which they repeat.
 
     Args:
         plant: plant with A, C, W and V.
@@ -208,7 +208,7 @@ def follow_every_query(
 
 
 def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Schedule:
-    """Return the periodic schedule of sensors that send if the variance of a predicted output exceeds a threshold."""
+    """Compute the periodic schedule of sensors that send when an output's predicted variance exceeds a threshold."""
     # Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
     # prediction from the measurements of all sensors that were queried before.
     every = Predictor(plant)
@@ -232,12 +232,12 @@ def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Sc
             return found
     raise UnstableError(
         f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
-        "expected another threshold"
+        "expected another value of the threshold"
     )
 
 
 def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:
-    """Return the gains ΣC'(CΣC' + V)⁻¹ of the measured outputs in each step, 0 for the others, (steps, n, p)."""
+    """Return the filter gains ΣC'(CΣC' + V)⁻¹ of each step, (steps, n, p), with zeros for unmeasured outputs."""
     measured = _measured(plant, schedule.queries.reshape(len(schedule.queries), -1), sensors)
     found = Predictor(plant).correction(schedule.covariance) * measured[:, None, :]
     for row in np.unique(measured, axis=0):
@@ -257,7 +257,7 @@ def _measured(plant: Plant, queries: npt.NDArray[np.bool_], sensors: Sensors) ->
 
 
 class Predictor:
-    """Kalman predictor of a plant: the controller uses the measurement of step k at step k + 1.
+    """One-step Kalman predictor of a plant: at step k + 1, the controller uses the measurement of step k.
 
     Args:
         plant: plant with A, C, W and V.
@@ -296,11 +296,11 @@ class Predictor:
         return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(V)) - S @ inverse)
 
     def silent(self, Sigma: Array) -> Array:
-        """Return the next error covariance without a measurement, AΣA' + W."""
+        """Return the next error covariance, AΣA' + W, if no measurement arrives."""
         return symmetrised(self.plant.A @ Sigma @ self.plant.A.T + self.plant.W)
 
     def queried(self, Sigma: Array, gain: Array) -> Array:
-        """Return the next error covariance with a measurement, in Joseph's form, (…, n, n)."""
+        """Return the next error covariance, (…, n, n), if a measurement arrives; it is computed in Joseph's form."""
         p = self.plant
         F, turned = p.A - gain @ self._C, gain.swapaxes(-1, -2)
         moved = symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned)
@@ -313,7 +313,7 @@ class Predictor:
         return moved + p.W
 
     def change(self, before: Array, after: Array) -> Array:
-        """Return the largest difference of each covariance from a reference, in standard deviations of the reference.
+        """Return the largest difference between covariances, relative to the standard deviations of ``after``.
 
         A variance that is small compared with the products in its sum may be their rounding; its difference is relative
         to these products.
@@ -324,7 +324,7 @@ class Predictor:
         return np.abs((after - before) / unit / unit[:, None]).max(axis=(-2, -1))
 
     def follow(self, Sigma: Array, query: bool) -> Array:
-        """Return the next error covariance, with or without a query of the sensor.
+        """Return the next error covariance. ``query`` states whether the sensor is queried in this step.
 
         Raises:
             UnstableError: the covariance overflows.
@@ -339,7 +339,7 @@ class Predictor:
 
 
 class QueryValue:
-    """Value h(Σ) of a sensor query at error covariance Σ: the cost that it saves if all later steps query the sensor.
+    """Value h(Σ) of a sensor query at the error covariance Σ: the cost that the query saves, if all later steps query.
 
     h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
     step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
@@ -419,7 +419,7 @@ class QueryValue:
             if self._weights.horizon is not None:
                 late, expected = f"of {self._weights.horizon} steps has not ended", "a shorter horizon"
             raise UnstableError(
-                f"the schedule of queries {late} within about a minute of computation for {states} states: errors "
+                f"after about a minute of computation for {states} states, the schedule of queries {late}: errors "
                 f"decay too slowly; expected {expected}, fewer states, or noise W and V for which the filter error "
                 "decays faster"
             )
@@ -459,8 +459,9 @@ class QueryValue:
         if horizon is not None:
             return total
         raise UnstableError(
-            "the value of a query is not finite, because later queries do not remove some error; expected a detectable "
-            "plant, noise W on every mode on or outside the unit circle and noise V on every output, or a discount"
+            "the value of a query is not finite, because no later query reduces some of the estimation errors; "
+            "expected a detectable plant, noise W on every mode on or outside the unit circle and noise V on every "
+            "output, or a discount"
         )
 
 
@@ -474,12 +475,12 @@ class _Flow(NamedTuple):
     observed: Array  # O_s, (steps + 1, n, n); without a horizon, the last one is valid for all later steps
 
     def attracts(self, covariances: Array) -> bool:
-        """Return whether given covariances converge to the steady covariance, so that the closed form is accurate."""
+        """Return whether covariances converge to the steady state, which the accuracy of the closed form requires."""
         off = (covariances - self.steady) @ self.observed[-1]
         return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < _CONDITION).all())
 
     def weighed(self, P: Array, discount: float) -> Array:
-        """Return α^{s+1} F̄'^s P F̄^s for every step s and, if P is the same in all, the sum over all later steps."""
+        """Return α^{s+1} F̄'^s P F̄^s for each step s. For a constant P, add the sum over all later steps."""
         powers = self.powers if P.ndim == 2 else self.powers[: len(P)]
         factors: Array = np.power(discount, np.arange(1.0, len(powers) + 2))[:, None, None]
         each: Array = factors[:-1] * (powers.swapaxes(-1, -2) @ (P if P.ndim == 2 else P[: len(powers)]) @ powers)
@@ -490,7 +491,7 @@ class _Flow(NamedTuple):
         return np.concatenate([each, factors[-1:] * rest])
 
     def thinned(self, P: Array, discount: float, covariances: Array) -> tuple[Array, Array]:
-        """Return weights and O_s of fewer steps, with which a sum over all steps is accurate."""
+        """Select a few steps that suffice to compute the sum; return their weights and their matrices O_s."""
         # Over a block of many steps, the terms of a slow filter are smooth. So the sum over a block is that over a few
         # of its steps, with the weights for which sums of polynomials are exact. It replaces the block if it agrees
         # with the sum over all steps of the block, for terms with covariances that are to be expected; otherwise it is
@@ -523,7 +524,7 @@ class _Flow(NamedTuple):
         return weighed[places] * shares[:, None, None], self.observed[places]
 
     def faded(self, covariance: Array, parts: Array, observed: Array) -> Array:
-        """Return (I + (X − Σ̄)O_s)^{-1}·parts of the closed form for a covariance X and the O_s of some steps."""
+        """Return (I + (X − Σ̄)O_s)^{-1}·``parts`` of the closed form, for a covariance X and several steps s."""
         off = np.eye(len(self.unit)) + (covariance - self.steady) @ observed
         return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (len(off), *parts.shape))), dtype=np.float64)
 

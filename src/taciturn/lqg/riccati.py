@@ -1,4 +1,4 @@
-"""Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time.
+"""Optimal state-feedback gains u = L x: for infinite, discounted and finite horizons, and in continuous time.
 
     K = Q + αA'KA − L'HL,   H = R + αB'KB,   L = −H⁻¹(αB'KA + N')
 
@@ -35,7 +35,7 @@ from taciturn.lqg.sampling import Exact, Source
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Regulator(Displayed):
-    """An optimal regulator: the input u = Lx, the cost-to-go x'Kx, and the weight H of a deviation from this input.
+    """An optimal regulator: its input u = Lx, its cost-to-go x'Kx, and the weight H of a deviation from this input.
 
     The cost tr(KW) of noise has an error of at most tr(error·W), which is proved. ``slowest`` is the modulus of the
     slowest mode of A + BL, with a discount that of √α(A + BL), and in continuous time its real part. Modes on the unit
@@ -59,7 +59,7 @@ class FiniteRegulator(Displayed):
 
 
 def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, discount: float = 1.0) -> Regulator:
-    """Return the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
+    """Compute the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
 
     K = Q + αA'KA − L'HL,  L = −H^{-1}(αB'KA + N'),  H = R + αB'KB, with √α(A + BL) stable. Any other input costs
     (u − Lx)'H(u − Lx) more. This is the undiscounted problem of √α·A and √α·B. K and L are 0 along modes on the unit
@@ -98,7 +98,7 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
 def regulate_finite(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, terminal: ArrayLike, horizon: int
 ) -> FiniteRegulator:
-    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
+    """Compute the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
 
     K_N = Q_N,  H_k = R + B'K_{k+1}B,  L_k = −H_k^{-1}(B'K_{k+1}A + N'),  K_k = Q + A'K_{k+1}A − L_k'H_kL_k.
 
@@ -136,9 +136,9 @@ def regulate_finite(
             cross = B.T @ K[k + 1] @ A + N.T
         if not (np.isfinite(H[k]).all() and np.isfinite(cross).all()):
             raise UnstableError(
-                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}; A "
-                f"has the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; shorten the horizon, or let an input "
-                "affect that mode"
+                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon} steps: A has "
+                f"the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; expected a shorter horizon, or an input that "
+                "affects this mode"
             )
         if not is_definite(H[k]):
             raise costs_nothing(H[k], f" at step {k}", "R or the terminal weight")
@@ -149,12 +149,14 @@ def regulate_finite(
         if repetition.fills((K, L, H), k, K[k]):
             break
     if not np.isfinite(K[0]).all():
-        raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
+        raise UnstableError(
+            f"the cost-to-go overflows at step 0 of the horizon of {horizon} steps; expected a shorter horizon"
+        )
     return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
 
 
 def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
-    """Return the gain that minimises ∫ x'Qx + u'Ru + 2x'Nu dt along ẋ = Ax + Bu.
+    """Compute the gain that minimises ∫ x'Qx + u'Ru + 2x'Nu dt along ẋ = Ax + Bu.
 
     0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R. K and L are 0 along modes on the
     imaginary axis that no input affects and that do not affect the cost, as in :func:`regulate`.
@@ -186,18 +188,18 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         smallest = float(np.linalg.eigvalsh(given.R)[0])
         raise ProblemError(
             f"R has the eigenvalue {smallest:.3g}, and the gain −R⁻¹(B'K + N') of a continuous-time regulator needs a "
-            "positive definite R, since inputs that cost nothing could move the state at once; expected a positive "
+            "positive definite R, since inputs without cost could change the state instantly; expected a positive "
             "weight of each input, or a policy that holds its input between samples"
         )
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
-    """Raise an error if the computed cost of sending every sample is uncertain because of rounding."""
+    """Raise an error if rounding makes the computed cost of sending every sample inaccurate."""
     if not doubt <= COST_ERROR * abs(cost):
         raise UnstableError(
-            f"the cost of sending every sample is {cost:.6g}, with an error of up to {doubt:.1e}; expected an error of "
-            f"at most {COST_ERROR:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
+            f"the cost of sending every sample is {cost:.6g}, with an error of up to {doubt:.1e}; expected a relative "
+            f"error of at most {COST_ERROR:.0e}: modes with hardly any noise have such a large cost-to-go that its "
             "rounding error dominates; give these modes noise W, or remove them from the plant"
         )
 
@@ -206,7 +208,7 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 def regulate_sampled(
     exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
 ) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
+    """Compute the regulator for matrices in doubles. ``exact`` gives the same matrices more precisely."""
     given = Quadratic(A, B, Q, R, N)
     if exact is None:
         return regulate_for(*exactly(given), discount)
@@ -214,7 +216,7 @@ def regulate_sampled(
 
 
 def regulate_deviations(change: Followed) -> Regulator:
-    """Return the regulator of all states, from that of their deviations from the states that cost nothing."""
+    """Convert the regulator of the deviations from states without cost to a regulator of all states."""
     inner = regulate_sampled(change.exact, *change.problem, 1.0)
     K, error = (_arrays.frozen(symmetrised(change.T.T @ part @ change.T)) for part in (inner.K, inner.error))
     return Regulator(K, _arrays.frozen(inner.L @ change.T + change.U), inner.H, error, inner.slowest)
@@ -223,7 +225,7 @@ def regulate_deviations(change: Followed) -> Regulator:
 def regulate_for(
     given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, or say why there is none."""
+    """Compute the regulator of a problem known to any precision; raise an error that says why if there is none."""
     check_time()
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)
@@ -265,7 +267,7 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
 
 
 def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:
-    """Reject modes that no input moves; for one on the edge, the message adds whether it affects the cost."""
+    """Reject modes that no input affects; for a mode on the edge, the message adds whether it affects the cost."""
     lost = unmoved(seen.A, seen.B, limit)
     if not lost.lasting.size:
         return
@@ -275,19 +277,21 @@ def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:
     named = f"A has the eigenvalue {mode_text(mode, digits)}, which is uncontrollable through B"
     if lost.growing.size:
         raise UnstableError(
-            f"{named}; expected (A, B) stabilisable: every eigenvalue outside {limit.region(digits)} must be "
-            "controllable; add an actuator, or remove the state of this mode from the problem"
+            f"(A, B) is not stabilisable: {named}; expected (A, B) stabilisable: every eigenvalue outside "
+            f"{limit.region(digits)} must be controllable; add an actuator, or remove the state of this mode from the "
+            "problem"
         )
     if costly.staying.size:
         raise UnstableError(
-            f"{named}; this mode lies on {limit} and affects the cost, so that the cost is infinite or depends on "
-            "exact cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and "
-            "on the states that it affects; make the mode stable, or give it as a disturbance instead of a state"
+            f"(A, B) is not stabilisable: {named}; this mode lies on {limit} and affects the cost, so that the cost is "
+            "infinite or depends on exact cancellation; expected (A, B) stabilisable, or no weight in Q and N on the "
+            "state of this mode and on the states that it affects; make the mode stable, or give it as a disturbance "
+            "instead of a state"
         )
     raise UnstableError(
-        f"{named}; this mode lies on {limit} and does not affect the cost, but it is a combination of several states, "
-        "and such a mode is accepted only if it is a state of its own; expected coordinates in which Q, N and A have "
-        "zeros for the state of this mode, or a problem without it"
+        f"(A, B) is not stabilisable: {named}; this mode lies on {limit}, does not affect the cost, and is a "
+        "combination of several states, but such a mode is accepted only if it is a single state; expected "
+        "coordinates in which it is a single state, for which Q, N and A have zeros, or a problem without this mode"
     )
 
 
@@ -297,17 +301,17 @@ def _refuse_unpaid(modes: Modes, limit: Limit, definite: bool) -> None:
     mode = mode_text(complex(modes[0]))
     if definite:
         raise UnstableError(
-            f"the mode {mode} on {limit} does not affect the cost, so no optimal gain stabilises it; give Q a small "
-            "positive weight there"
+            f"the mode {mode} on {limit} does not affect the cost, so no optimal gain stabilises it; expected a small "
+            "positive weight in Q on this mode"
         )
     raise UnstableError(
-        f"R is singular, and inputs can move the state along the mode {mode} on {limit} for ever without cost, so no "
-        "optimal gain stabilises it; expected a positive weight of this motion in Q or R"
+        f"R is singular, and inputs can keep the mode {mode} on {limit} in motion without cost, so no optimal gain "
+        "stabilises it; expected a positive weight in Q or R on this motion"
     )
 
 
 def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
-    """Return the error that the weight H = R + B'KB of the input is singular, so that no gain is the only best one."""
+    """Return the error for a singular input weight H = R + B'KB, because the optimal gain is then not unique."""
     smallest = float(np.linalg.eigvalsh(H)[0])
     return ProblemError(
         f"R + B'KB is not positive definite{where}: it has the eigenvalue {smallest:.3g}, so an input "
@@ -317,7 +321,7 @@ def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
 
 
 class Repetition:
-    """Detection that a recursion has returned to an earlier state."""
+    """Detects when a recursion returns to a state that it had before."""
 
     def __init__(self) -> None:
         """Start without states."""
@@ -325,14 +329,14 @@ class Repetition:
         self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
 
     def period(self, step: int, *state: Array) -> int | None:
-        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
+        """Return after how many steps the recursion returned to this state; None if it has not returned to it."""
         key = hash(b"".join(part.tobytes() for part in state))
         earlier, same = self._seen.setdefault(key, (step, state))
         alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
         return abs(step - earlier) if alike and step != earlier else None
 
     def fills(self, parts: tuple[Array, ...], step: int, *state: Array) -> bool:
-        """Return whether a backward recursion repeats from here on; then, all earlier steps of the parts are filled."""
+        """Return whether a backward recursion repeats. If so, also fill in all earlier steps."""
         period = self.period(step, *state)
         if period is None:
             return False

@@ -1,4 +1,4 @@
-"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise between samples.
+"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and the inter-sample noise cost.
 
 ``Ad``, ``Bd``, the weights, the noise and its cost all follow from one extended system ż = Fz + noise of intensity G
 with the cost ∫ z'Mz dt. The vector z contains the state and the data that the actuator stores between two decisions:
@@ -42,7 +42,7 @@ _MOST = 1000  # doublings
 
 
 class Step(NamedTuple, Generic[E]):
-    """Enclosures of a linear-quadratic problem of one step, with noise."""
+    """Enclosures of the matrices of one step of a linear-quadratic problem with noise."""
 
     # x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
 
@@ -56,7 +56,7 @@ class Step(NamedTuple, Generic[E]):
 
 
 class Source(NamedTuple):
-    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly."""
+    """The continuous-time problem that was sampled. Its modes are known exactly."""
 
     # dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
 
@@ -66,7 +66,7 @@ class Source(NamedTuple):
 
 
 class Builder(Protocol):
-    """A problem of one step in any arithmetic, built anew at each call."""
+    """Function that encloses the matrices of one step in a given arithmetic. Each call computes them anew."""
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem."""
@@ -75,7 +75,7 @@ class Builder(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Exact(Displayed):
-    """A problem of one step in any arithmetic; enclosures that were computed once are kept."""
+    """The problem of one step, in an arithmetic of any precision. Enclosures that were computed are kept for reuse."""
 
     build: Builder  # returns enclosures of the problem
     source: Source | None = None  # the problem before it was sampled
@@ -93,11 +93,11 @@ class Exact(Displayed):
         return cast("Step[E]", self._kept[key])
 
     def beside(self, place: int, S: Array, P: Array, source: Source | None = None) -> Exact:
-        """Return the problem with further states, as :meth:`~taciturn.lqg.quadratic.Quadratic.beside` does."""
+        """Extend the problem by further states, like :meth:`~taciturn.lqg.quadratic.Quadratic.beside`."""
         return Exact(_Beside(self, place, S, P), source)
 
     def equation(self, arithmetic: type[E], /) -> Equation[E]:
-        """Return enclosures of the matrices of the Riccati equation."""
+        """Enclose the matrices that the Riccati equation of the problem contains."""
         A, B, Q, R, N, _, _ = self(arithmetic)
         return Equation(A, B, Q, R, N)
 
@@ -132,7 +132,7 @@ class _Beside(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sampled(Displayed):
-    """A discrete-time LQ problem whose step is equivalent to an interval of continuous time, or to several steps.
+    """A discrete-time LQ problem: one of its steps is equivalent to a time interval, or to several shorter steps.
 
     x⁺ = Ax + Bu + w, with w of covariance W. The mean cost of the interval is x'Qx + u'Ru + 2x'Nu + noise_cost. No
     controller can change ``noise_cost``, but costs of intervals of different length can only be compared with it.
@@ -150,7 +150,7 @@ class Sampled(Displayed):
 
     @property
     def quadratic(self) -> Quadratic:
-        """The problem without its noise."""
+        """The same problem without noise, as a linear-quadratic regulator problem."""
         return Quadratic(self.A, self.B, self.Q, self.R, self.N)
 
 
@@ -164,7 +164,7 @@ def sample(
     period: float,
     moved: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time problem whose input is held between samples.
+    """Convert a continuous-time LQ problem to discrete time; the input is held from one sample to the next.
 
     dx = (Ax + Bu)dt + noise of intensity W, cost ∫ x'Qx + u'Ru + 2x'Nu dt, u constant over a period h:
     A_d = e^{Ah}, B_d = ∫e^{As}ds B, W_d = ∫e^{As}We^{A's}ds, [[Q_d, N_d], [N_d', R_d]] = ∫e^{F't}Me^{Ft}dt
@@ -230,7 +230,7 @@ def sample_prediction(
     period: float,
     dynamics: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state."""
+    """Convert a continuous-time LQ problem to discrete time; between samples, the actuator predicts the state."""
     # Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
     # x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of ``sample``, with
     # F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]; F contains another model if the actuator has one
@@ -284,8 +284,8 @@ class _Predicted(Displayed):
 
 
 def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
-    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it."""
-    # For many states, it is eleven digits, or thirteen of the entries next to it.
+    """Compute a problem in doubles: each entry to 14 digits, or to 1e-30 of the largest entry in its row or column."""
+    # For many states, to 11 digits, or to 1e-13 of the largest in its row or column.
     exact = Exact(build, source)
     step: Step[Doubles] | Step[Balls] | None = None
     if size > FEW:
@@ -301,8 +301,8 @@ def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
                 break
     if step is None or not all(np.isfinite(part.middle).all() for part in step):
         raise ProblemError(
-            "a number of the problem of one period exceeds the range of doubles; expected a shorter period, or states "
-            "and inputs in other units"
+            "a number of the problem sampled over one period exceeds the range of double precision; expected a "
+            "shorter period, or states and inputs in other units"
         )
     A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
     return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
@@ -316,7 +316,7 @@ def _is_sharp(middle: Array, radius: Array, own: float, others: float) -> bool:
 
 
 def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
-    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt."""
+    """Integrate ż = Fz + noise of intensity G, and the cost ∫ z'Mz dt, over the time ``period``."""
     to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
     F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
     size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
@@ -343,7 +343,7 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
 
 
 class Interval(NamedTuple, Generic[E]):
-    """Enclosures of the transition matrix, the weight at the start, the noise at the end, and its cost, (1, 1)."""
+    """Enclosures for a time interval: transition matrix, weight at the start, noise covariance, and noise cost."""
 
     Phi: E
     M: E
@@ -351,7 +351,7 @@ class Interval(NamedTuple, Generic[E]):
     c: E
 
     def then(self, second: Interval[E]) -> Interval[E]:
-        """Return the effect of this interval followed by another one."""
+        """Combine this interval and the interval ``second`` that follows it to one interval."""
         return Interval(
             second.Phi @ self.Phi,
             (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
@@ -360,7 +360,7 @@ class Interval(NamedTuple, Generic[E]):
         )
 
     def repeated(self, times: int) -> Interval[E]:
-        """Return the effect of the same interval repeated ``times`` times, by repeated squaring."""
+        """Combine ``times`` copies of this interval to one interval, by repeated squaring."""
         result: Interval[E] | None = None
         once = self
         while True:
@@ -373,14 +373,14 @@ class Interval(NamedTuple, Generic[E]):
             once = once.then(once)
 
     def split(self, states: int) -> Step[E]:
-        """Return the problem whose first variables are the state, and the others the input."""
+        """Return the problem in which the first ``states`` variables are the state, and all others are the input."""
         x, u = slice(states), slice(states, None)
         Phi, M = self.Phi, self.M
         return Step(Phi.part(x, x), Phi.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u), self.G.part(x, x), self.c)
 
 
 def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
-    """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on what is left out."""
+    """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on omitted terms."""
     F, least, k, left_out = F.times(step), arithmetic.unit(), 1, 0.5
     most, power, m, g = F.most, F, M.times(step), G.times(step)
     change, weight, noise, spread = power, m, g, g.over(2)  # spread: the sum of the covariances of all instants

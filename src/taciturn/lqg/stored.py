@@ -1,4 +1,4 @@
-"""Stored gains: the average cost of their loop, and what their rounding adds to the cost of silence, with proofs.
+"""Loops whose gains are rounded to doubles: proofs of their average cost, and of how much the rounding adds.
 
 **Average cost.** A controller with memory closes the loop around x⁺ = Ax + Bu + w, y = Cx + v. With the state ζ of
 plant and controller,
@@ -67,24 +67,26 @@ _ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles 
 
 
 class Proved(NamedTuple):
-    """A number with a proved bound on its error."""
+    """A computed number with a proven bound on its error."""
 
     value: float  # the number
     radius: float  # bound on the distance of the exact number from ``value``
 
     @property
     def upper(self) -> float:
-        """The least double that is proved to be above the exact number."""
+        """A double that is an upper bound on the exact number."""
         return float(np.nextafter(self.value + self.radius, np.inf))
 
     @property
     def lower(self) -> float:
-        """The largest double that is proved to be below the exact number."""
+        """A double that is a lower bound on the exact number."""
         return float(np.nextafter(self.value - self.radius, -np.inf))
 
 
 class Closed(NamedTuple, Generic[E]):
-    """Enclosures of a closed loop: ζ⁺ = Fζ + Gw + Jv + Me and u = Tζ + Dv + e; the first states are the plant's."""
+    """Enclosures of a closed loop ζ⁺ = Fζ + Gw + Jv + Me, u = Tζ + Dv + e. The first entries of ζ are the plant's
+    state.
+    """
 
     F: E
     G: E
@@ -95,7 +97,7 @@ class Closed(NamedTuple, Generic[E]):
 
 
 class Closing(Protocol):
-    """A stored controller, which closes the loop around the exact plant in any arithmetic."""
+    """Function that closes the loop of the exact plant and a controller in doubles, in a given arithmetic."""
 
     def __call__(self, step: Step[E], arithmetic: type[E], /) -> Closed[E]:
         """Return the closed loop."""
@@ -103,7 +105,7 @@ class Closing(Protocol):
 
 
 class Valued(NamedTuple, Generic[E]):
-    """A stored loop with its proof in one arithmetic."""
+    """A loop with a controller in doubles, and the proof of its cost in one arithmetic."""
 
     cost: Proved  # the average cost per step
     step: Step[E]  # enclosures of the plant and the weights
@@ -115,7 +117,7 @@ class Valued(NamedTuple, Generic[E]):
 
 
 class Near(NamedTuple):
-    """Estimates of a loop with u = L x̂ + e, in doubles."""
+    """Approximate cost-to-go and variances, in doubles, of a loop with u = L x̂ + e."""
 
     K: Array  # cost-to-go of the states of the plant
     variances: Array  # of the states of the loop, if the errors e cost as much as the rest
@@ -123,7 +125,7 @@ class Near(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stored(Displayed):
-    """A controller as it is stored, in a loop with the exact plant; what was proved once is kept."""
+    """A controller as it is stored, rounded to doubles, in a loop with the exact plant. Proofs are kept for reuse."""
 
     problem: Discrete  # the discrete-time problem, with an average cost
     close: Closing  # closes the loop
@@ -132,7 +134,7 @@ class Stored(Displayed):
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
     def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
-        """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
+        """Return the precisions to try, in order. Each has a flag that is True for double precision."""
         doubles = [(PRECISIONS[0], True)] if self.states > _SMALL else []
         return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= _MANY]
 
@@ -144,7 +146,7 @@ class Stored(Displayed):
         return cast("Valued[E]", self._kept[key])
 
     def cost(self, patient: bool = False) -> Proved | None:
-        """Return the average cost per step, or None if it is not proved to nine digits."""
+        """Compute the average cost per step; return None if it cannot be proved to nine digits."""
         # The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
         # disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
         # state that wanders for ever depends: nothing is proved.
@@ -160,7 +162,7 @@ class Stored(Displayed):
 
 
 def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stored:
-    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter."""
+    """Return the loop with u = L x̂ + e, where L and the gain of the steady-state filter are rounded to doubles."""
     # The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
     # from the exact one by rounding.
     plant = problem.plant
@@ -177,14 +179,14 @@ def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stor
         return Closed(F, block([[one], [one]]), moves @ D - sensed, T, D, moves)
 
     best, noise = plant.A + plant.B @ regulator.L, steady.prior - steady.posterior
-    pushed = plant.B @ np.linalg.solve(regulator.H, plant.B.T)
+    pushed = plant.B @ np.linalg.pinv(regulator.H, hermitian=True) @ plant.B.T  # an input without a cost has no weight
     cost = float(np.trace(problem.Q @ steady.posterior) + np.trace(regulator.K @ noise))
     known, errors = np.diag(summed(best, best @ noise @ best.T + cost * pushed)), np.diag(steady.prior)
     return Stored(problem, close, 2 * plant.states, Near(regulator.K, np.concatenate([known + errors, errors])))
 
 
 def controller_loop(problem: Discrete, controller: Controller) -> Stored:
-    """Return the loop of a linear controller, with every sample."""
+    """Return the loop of a linear controller, with matrices rounded to doubles, that sends every sample."""
     # The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
     plant, c = problem.plant, controller
 
@@ -265,7 +267,7 @@ def _guess(F: Array, M: Array, near: Near | None) -> Array:
 
 
 class Apart(NamedTuple):
-    """Sensors that filter apart, and the matrices of their filters as programs hold them."""
+    """Sensors that each have a filter of their own, and the matrices of these filters as rounded to doubles."""
 
     outputs: Sequence[Sequence[int]]  # the outputs of each sensor that is not at the controller's place
     rest: Array  # about I − gC, (n, n)
@@ -273,7 +275,7 @@ class Apart(NamedTuple):
 
 
 class _StageError(NamedTuple):
-    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one."""
+    """The largest excess of the stage cost of a trigger, from x̂ and stored weights, over the expected stage cost."""
 
     # If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
 
@@ -284,7 +286,7 @@ class _StageError(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He]."""
+    """Effect of rounding the gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², where s² = E[e'He]."""
 
     excess: float  # ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one
     fixed: float  # root of a cost that rounding adds to silence
@@ -292,19 +294,19 @@ class Allowance(NamedTuple):
     stage: _StageError  # the error of the stage cost of a trigger
 
     def within(self, share: float, cost: float) -> bool:
-        """Return whether the rounding adds at most a share of a cost, J_all."""
+        """Return whether the rounding of the gains adds at most a given share of J_all."""
         fixed = self.fixed * (self.fixed + sqrt(cost)) <= share * cost
         return fixed and max(self.slope, self.excess) <= share
 
     def raised(self, base: float, silence: float) -> tuple[float, float]:
-        """Return a base and a factor of the cost of silence that allow for the rounding."""
+        """Return a larger J_all, and a factor for the cost of not sending, so that a bound holds despite rounding."""
         s = sqrt(silence)
         added = (self.fixed + self.slope * s) * _MORE
         factor = (1 + self.excess) * (1 + added / s) * _MORE if s > 0 else 1.0
         return (base + added * (added + s)) * _MORE, factor
 
     def relative(self, base: Proved, theta: float) -> float | None:
-        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None."""
+        """Return the bound on J if a trigger keeps e'He below θ/(1 + θ) of the stage cost; None without a bound."""
         # With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
         # at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
         stage, share = self.stage, theta / (1 + theta)
@@ -323,7 +325,7 @@ class Allowance(NamedTuple):
 def allowance(
     loop: Stored, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
 ) -> Allowance | None:
-    """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small."""
+    """Bound how much rounding the gains increases the cost of not sending; None if this is not proved to be small."""
     if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
     found, given = None, (loop, regulator, steady, cost, apart)
@@ -345,20 +347,20 @@ class _Norm(NamedTuple, Generic[E]):
     states: Bits  # the states that it measures, and which the others do not affect
 
     def of(self, T: E, norm: E) -> float:
-        """Return the largest |Tζ| in another norm for |ζ| = 1."""
+        """Return the largest norm of Tζ over all ζ of norm 1. The two norms may differ."""
         seen, states, X = _squared(T, norm), self.states, self.X
         if not states.all():
             if seen.part(~states, slice(None)).most.any():
-                raise UnprovedError("a state that does not decay has a weight")
+                raise UnprovedError("the cost gives weight to a state that does not decay")
             seen, X = seen.part(states, states), X.part(states, states)
         return sqrt(_ratio(seen, X))
 
     def noise(self, covariance: E) -> float:
-        """Return a bound on the root mean square of |ζ| that independent noise of a covariance causes."""
+        """Bound the root mean square of |ζ| if independent noise with the given covariance drives the loop."""
         return sqrt(self.nu * _most(self.X, covariance))
 
     def driven(self, size: float) -> float:
-        """Return a bound on the root mean square of |ζ| that any inputs of this root mean square cause."""
+        """Bound the root mean square of |ζ| if an input with the given root mean square drives the loop."""
         return 2 * self.nu * size  # 1/(1 − √(1 − 1/ν)) is less than 2ν
 
 
@@ -471,15 +473,15 @@ def _of_contributions(
     pushed += [_spread(closed @ g, errors.X, V), sqrt(_ratio(_squared(wrong @ B, errors.X), H))]
     kept = 1 - errors.driven(errors.of(wrong @ A, errors.X))
     if not kept > 0.5:
-        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+        raise UnprovedError("the accuracy of the sensors' contributions to the cost could not be proved")
     first, more = (errors.of(L, H) * errors.driven(part) / kept * _MORE for part in pushed.tolist())
     if not more < 0.5:
-        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+        raise UnprovedError("the accuracy of the sensors' contributions to the cost could not be proved")
     return first, more
 
 
 def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
-    """Return a diagonal weight of (x, u) above the difference between the stored weights and the exact ones."""
+    """Return a diagonal weight of (x, u) above the difference between the stored and the exact weights."""
     exact, size = arithmetic.exact, sum(problem.plant.B.shape)
     if problem.exact is None:
         return exact(np.zeros((size, size)))

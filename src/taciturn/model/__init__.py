@@ -1,4 +1,4 @@
-"""Plants, costs, networks, triggers and policies as immutable data, validated at construction.
+"""Plants, costs, networks, triggers and policies, as immutable data that are checked when they are constructed.
 
 This package defines problems and policies. Other packages compute gains and simulate loops.
 
@@ -16,12 +16,14 @@ Read the modules in this order:
 
 1. ``plant``, ``dynamics``, ``cost``, ``controller``, ``network``, ``link``, ``losses``: the problem. ``signals``:
    disturbances and set-points; ``disturbance`` joins them to a plant. ``operating_point``, ``saturation``, ``limits``:
-   the point from which a plant counts, limits of its inputs, and limits of its states that are watched.
+   the point from which a plant counts, limits of its inputs, and limits of its states that are watched. ``names``: of
+   its outputs and inputs, for figures.
    ``state_space``: plants from other libraries. ``key``: what a field states as a key of a problem file.
 2. ``trigger``: quadratic forms, and tables that a discrete state selects.
 3. ``steps``: the policy steps, and discrete states with their cycle.
 4. ``theory`` and ``policy``: proven properties of a policy, such as its guarantee, and the policy itself with the
-   limits of links on the intervals between sends. ``diagram``: its nodes and links.
+   limits of links on the intervals between sends. ``silence``: the cost of silence that running nodes measure.
+   ``diagram``: its nodes and links, with the ``rule`` by which a link sends, in ``words``.
 5. ``information`` and ``coverage``: the check that a node reads only available signals, and the properties that a
    theory or an interpreter carries out.
 6. ``packets`` and ``wire``: the packets of a policy, its fingerprint, and the layout of a datagram.

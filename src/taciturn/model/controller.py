@@ -1,4 +1,4 @@
-"""Linear controllers that a user already has, such as PID controllers, in the time steps of a policy.
+"""Linear controllers that a user already has, such as PID controllers, and their discretisation.
 
 A controller computes the input from the measurement, in discrete or in continuous time, by
 
@@ -37,7 +37,7 @@ Method: TypeAlias = Literal["tustin", "zoh"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(Displayed):
-    """A linear controller in discrete time: z⁺ = A z + B y + E u and u = C z + D y, with u as applied in each step.
+    """A linear controller in discrete time: z⁺ = A z + B y + E u and u = C z + D y; in z⁺, u is the applied input.
 
     Args:
         A: dynamics of the controller's state, (k, k).
@@ -120,20 +120,22 @@ class Controller(Displayed):
 
     @property
     def integrates(self) -> bool:
-        """True if the controller has an integrator, an eigenvalue 1 of A + E C, when its commands are applied."""
+        """True if the controller has an integrator, so that A + E C has the eigenvalue 1."""
         applied = self.A + self.E @ self.C
         return bool(np.any(np.abs(np.linalg.eigvals(applied) - 1.0) < 1e-9)) if len(self.A) else False
 
     @property
     def expected(self) -> Disturbance | None:
-        """The disturbance that the controller compensates, with default values if it integrates, or None."""
+        """The disturbance that the controller compensates: the stated one, or a default if the controller has an
+        integrator.
+        """
         stated = self.disturbance
         if stated is None:
             return Disturbance() if self.integrates else None
         return None if stated.absent else stated
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
-        """Return the controller itself, which must suit the steps, inputs and outputs of the plant.
+        """Return this controller, after checking that sampling period, inputs and outputs are those of the plant.
 
         Raises:
             ProblemError: both steps are stated and differ, or a number differs.
@@ -144,7 +146,7 @@ class Controller(Displayed):
             )
         for name, got, expected in zip(("inputs", "measurements"), self.D.shape, (inputs, outputs), strict=True):
             if got != expected:
-                raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
+                raise ProblemError(f"the controller has {got} {name}; expected {expected} {name}, to match the plant")
         return self
 
 
@@ -185,7 +187,7 @@ class ContinuousController(Displayed):
         set_fields(self, {name: getattr(stated, name) for name in "ABCD"})
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
-        """Return the controller at a step of ``dt`` seconds.
+        """Discretise the controller for the sampling period ``dt`` in seconds.
 
         Raises:
             ProblemError: the step is not stated, or the number of inputs or outputs is not that of the plant.
@@ -197,13 +199,13 @@ class ContinuousController(Displayed):
         except np.linalg.LinAlgError:
             raise ProblemError(
                 f"the controller has a pole at 2/h = {2 / step:g} per second with steps of h = {step:g} s, so the "
-                'trapezoidal rule does not apply; expected method = "zoh", or dt of the controller if its matrices are '
-                "per step"
+                'trapezoidal rule does not apply; expected method = "zoh", or controller.dt, if the matrices of the '
+                "controller describe one step"
             ) from None
         return Controller(*found, None, dt, self.disturbance, self.setpoint).at(dt, inputs, outputs)
 
     def ringing(self, dt: float) -> tuple[float, float] | None:
-        """Return time constant and eigenvalue of the mode that rings most at a step of ``dt`` seconds, or None.
+        """Find the mode that alternates most after discretisation; return its time constant and eigenvalue, or None.
 
         The trapezoidal rule turns a mode e^{pt} into the eigenvalue (2 + p dt)/(2 − p dt). If the mode decays faster
         than within half a step, the eigenvalue is negative: commands alternate from step to step, and decay slowly.
@@ -219,7 +221,7 @@ class ContinuousController(Displayed):
 
 
 def checked_disturbance(name: str, value: object) -> Disturbance | None:
-    """Return a disturbance, or None for the default."""
+    """Check that a value is a disturbance, or None for the default disturbance, and return it."""
     if value is not None and not isinstance(value, Disturbance):
         raise ProblemError(
             f"{name} is {quoted(value)}; expected a Disturbance, Disturbance(deviation=0) for no disturbance, or None "
@@ -229,17 +231,17 @@ def checked_disturbance(name: str, value: object) -> Disturbance | None:
 
 
 def stated_step(dt: float | None) -> float:
-    """Return the seconds per step, which must be stated."""
+    """Return the sampling period in seconds; raise an error if the user has not given it."""
     if dt is None:
         raise ProblemError(
-            "plant.dt is missing; expected the seconds per step, in which a PID or continuous controller acts"
+            "plant.dt is missing; expected the seconds per step, which a PID or continuous controller requires"
         )
     return dt
 
 
 @dataclass(frozen=True, repr=False)
 class PID(Displayed):
-    """A PID controller of one measurement, u = kp (b r − y) + ki ∫(r − y) dt + kd d(c r − y)/dt with the set-point r.
+    """A PID controller of one output y with set-point r: u = kp (b r − y) + ki ∫(r − y) dt + kd d(c r − y)/dt.
 
     The integral and the filter of the derivative use forward differences over a step h: I⁺ = I + h y,
     f⁺ = f + (h/T)(y − f), and the derivative is (y − f)/T.
@@ -289,28 +291,36 @@ class PID(Displayed):
             number(f"pid.{name}", getattr(self, name))
         checked_disturbance("pid.disturbance", self.disturbance)
         if not self.setpoint and (self.b != 1.0 or self.c != 0.0):
-            raise ProblemError("pid.b or pid.c is given without setpoint; expected a set-point, or neither of them")
+            raise ProblemError(
+                "pid.b or pid.c is given without pid.setpoint; expected a set-point, or neither pid.b nor pid.c"
+            )
         if self.tracking_time is not None:
             number("pid.tracking_time", self.tracking_time, 0.0)
         if self.start_input is not None:
             number("pid.start_input", self.start_input)
         if self.c and self.start_input is not None:
             raise ProblemError(
-                f"pid.c is {self.c:g} with start_input, with which the derivative starts at rest: as the set-point is "
-                "constant, c has no effect; expected no c"
+                f"pid.c is {self.c:g} together with start_input, so it has no effect: the derivative starts at zero, "
+                "and the set-point is constant; expected no pid.c"
             )
         for name in (name for name in ("tracking_time", "start_input") if getattr(self, name) is not None):
             if not self.ki:
-                raise ProblemError(f"pid.{name} is given without ki; expected an integral, whose value it concerns")
+                raise ProblemError(
+                    f"pid.{name} is given without pid.ki; expected pid.ki, because pid.{name} acts on the integral"
+                )
         for name in ("input", "output"):
             count(f"pid.{name}", getattr(self, name))
         if self.c and not self.kd:
-            raise ProblemError(f"pid.c is {self.c:g}, and kd is 0; expected a derivative, whose set-point c weights")
+            raise ProblemError(
+                f"pid.c is {self.c:g}, but pid.kd is 0; expected a nonzero pid.kd, since pid.c weights the set-point "
+                "in the derivative term"
+            )
         if self.filter is not None:
             number("pid.filter", self.filter, 0.0)
             if not self.kd:
                 raise ProblemError(
-                    f"pid.filter is {self.filter:g}, and kd is 0; expected a derivative, which it filters, or no filter"
+                    f"pid.filter is {self.filter:g}, but pid.kd is 0, so there is no derivative to filter; expected a "
+                    "nonzero pid.kd, or no pid.filter"
                 )
         elif self.kd:
             raise ProblemError(
@@ -319,7 +329,7 @@ class PID(Displayed):
             )
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
-        """Return the controller at a step of ``dt`` seconds.
+        """Discretise the controller for the sampling period ``dt`` in seconds.
 
         Raises:
             ProblemError: the step is not stated, or longer than the filter's time constant; or the plant lacks the
@@ -328,7 +338,9 @@ class PID(Displayed):
         return PIDLoops((self,)).at(dt, inputs, outputs)
 
     def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float, list[float]]:
-        """Return the diagonal of A, and B, C, D and the state at rest, at a step of ``dt`` seconds."""
+        """Return the diagonal of A, the entries of B, C and D, and the state in equilibrium, for steps of ``dt``
+        seconds.
+        """
         A, B, C, D, rest = list[float](), list[float](), list[float](), -self.kp, list[float]()
         if self.ki:
             A, B, C, rest = [1.0], [dt], [-self.ki], [-self.kp * (1 - self.b) * self.setpoint / self.ki]
@@ -336,7 +348,7 @@ class PID(Displayed):
             T = self.filter
             if dt > T:
                 raise ProblemError(
-                    f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a filter of at least a step"
+                    f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a time constant of at least one step"
                 )
             A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
             rest = [*rest, (1 - self.c) * self.setpoint]
@@ -345,7 +357,7 @@ class PID(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class PIDLoops(Displayed):
-    """Several PID controllers, each from one output of the plant to one input; their commands to an input are added.
+    """Several PID controllers, each from one output to one input of the plant. Commands to the same input are added.
 
     Args:
         loops: the controllers.
@@ -362,11 +374,12 @@ class PIDLoops(Displayed):
             raise ProblemError("the list of PID controllers is empty; expected at least one")
         if sum(loop.disturbance is not None for loop in self.loops) > 1:
             raise ProblemError(
-                "several PID controllers state a disturbance; expected one of them to do so, for all inputs"
+                "several PID controllers have the key 'disturbance'; expected this key in only one of them, for all "
+                "inputs"
             )
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
-        """Return the controller at a step of ``dt`` seconds.
+        """Discretise the PID controllers for the period ``dt`` in seconds, and combine them into one controller.
 
         Raises:
             ProblemError: as for a single PID controller, or an input has no controller.
@@ -378,8 +391,8 @@ class PIDLoops(Displayed):
             for name, size in (("input", inputs), ("output", outputs)):
                 if getattr(loop, name) > size:
                     raise ProblemError(
-                        f"pid.{name} is {getattr(loop, name)}; expected a number from 1 to {size}, as the plant has "
-                        f"{size} {name}{'s' if size > 1 else ''}"
+                        f"pid.{name} is {getattr(loop, name)}; expected a number from 1 to {size}, the number of "
+                        f"{name}s of the plant"
                     )
             to, read = np.eye(inputs)[loop.input - 1], np.eye(outputs)[loop.output - 1]
             a, b, c, d, still = loop.rows(step)
@@ -394,7 +407,9 @@ class PIDLoops(Displayed):
             C += [value * to for value in c]
             D += d * np.outer(to, read)
         for free in sorted(set(range(1, inputs + 1)) - {loop.input for loop in self.loops}):
-            raise ProblemError(f"no PID controller has the input {free}; expected one for each input of the plant")
+            raise ProblemError(
+                f"no PID controller computes input {free} of the plant; expected one PID controller for each input"
+            )
         k = len(A)
         disturbance = next((loop.disturbance for loop in self.loops if loop.disturbance is not None), None)
         rows = np.diag(A).reshape(k, k), np.reshape(B, (k, outputs)), np.reshape(C, (k, inputs)).T
@@ -404,6 +419,25 @@ class PIDLoops(Displayed):
             rows[1][row] += gain * D[to]
             E[row, to] -= gain
         return Controller(*rows, D, E, step, disturbance, setpoint, rest, self._start_input(inputs))
+
+    def following(self, dt: float, inputs: int, outputs: int) -> tuple[Array, Array]:
+        """Return the effect of the outputs' set-points on the controller's next state, (k, p), and on the input, (m,
+        p).
+        """
+        B, D = list[Array](), np.zeros((inputs, outputs))
+        for loop in self.loops:
+            read = np.eye(outputs)[loop.output - 1]
+            B += [-dt * read] if loop.ki else []
+            D[loop.input - 1] += loop.kp * loop.b * read
+            if loop.kd and loop.filter is not None:
+                B.append(-dt / loop.filter * loop.c * read)
+                D[loop.input - 1] += loop.kd / loop.filter * loop.c * read
+        moved, row = np.reshape(B, (len(B), outputs)), 0
+        for loop in self.loops:
+            if loop.tracking_time is not None:
+                moved[row] += dt / (loop.tracking_time * loop.ki) * D[loop.input - 1]
+            row += bool(loop.ki) + bool(loop.kd)
+        return moved, D
 
     def _start_input(self, inputs: int) -> Array | None:
         """Return the input before the start, if all loops state it; 0 for inputs of loops that do not."""
@@ -417,12 +451,24 @@ AnyController: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 
 
 def pids_of(kept: object) -> tuple[PID, ...]:
-    """Return the PID controllers of a given controller; none if it is another one."""
+    """Return the PID controllers of which a user's controller consists; empty if it is not a PID controller."""
     return kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
 
 
+def following(kept: AnyController, controller: Controller, rows: Sequence[int]) -> Controller:
+    """Extend a discretised controller, so that it reads the set-points of some outputs as further measurements."""
+    # a PID controller weights its set-point by b and c, of which c = 0 differentiates the output alone
+    c, (m, p) = controller, controller.D.shape
+    B, D = -c.B, -c.D
+    if isinstance(kept, PID | PIDLoops):
+        B, D = PIDLoops(pids_of(kept)).following(stated_step(c.dt), m, p)
+    more = [*rows]
+    wide = np.hstack([c.B, B[:, more]]), np.hstack([c.D, D[:, more]])
+    return Controller(c.A, wide[0], c.C, wide[1], c.E, c.dt, c.disturbance, None, c.rest, c.start_input)
+
+
 def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyController:
-    """Return a controller whose set-points and inputs are relative to the operating point of a plant.
+    """Express a controller's set-points and inputs as deviations from the operating point of a plant.
 
     A set-point of 0 is the one at the operating point.
     """
@@ -459,7 +505,7 @@ def controller_from(
     disturbance: Disturbance | None = None,
     setpoint: ArrayLike | None = None,
 ) -> AnyController:
-    """Convert a system of python-control or scipy, a gain matrix, or a list of PID controllers into a controller.
+    """Convert a system of python-control or scipy, a gain matrix or several PID controllers to a controller.
 
     Args:
         system: a system from measurements to inputs with attributes A, B, C, D and dt, or with a method ``to_ss``; a
@@ -488,7 +534,9 @@ def controller_from(
     loops = [one for one in listed if isinstance(one, PID)]
     if isinstance(system, Controller | ContinuousController | PID | PIDLoops) or loops:
         if stated:
-            raise ProblemError(f"{stated[0]} is given with a complete controller; expected it in the controller itself")
+            raise ProblemError(
+                f"{stated[0]} is given in addition to a complete controller; expected it inside this controller"
+            )
         if len(loops) < len(listed):
             wrong = next(one for one in listed if not isinstance(one, PID))
             raise ProblemError(f"the list of PID controllers contains {quoted(wrong)}; expected PID controllers only")
@@ -507,9 +555,13 @@ def controller_from(
     if dt == 0:
         if E is not None:
             raise ProblemError(
-                "E is given with a continuous controller; expected a discrete controller, whose steps E refers to"
+                "E is given with a continuous controller; expected a discrete controller: E multiplies the input "
+                "that was applied in a step"
             )
         return ContinuousController(A, B, factor * C, factor * D, method or "tustin", disturbance, setpoint)
     if method is not None:
-        raise ProblemError(f"method is {method!r} with a discrete controller; expected no method, or dt = 0")
+        raise ProblemError(
+            f"method is {method!r} with a discrete controller; expected no method, or dt = 0 for a continuous "
+            "controller"
+        )
     return Controller(A, B, factor * C, factor * D, E, dt, disturbance, setpoint)

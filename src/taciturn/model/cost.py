@@ -1,4 +1,4 @@
-"""The quadratic cost x'Qx + u'Ru + 2x'Nu, by which policies are designed and compared.
+"""The quadratic cost x'Qx + u'Ru + 2x'Nu, which a design minimises and by which policies are compared.
 
 It is an average over infinite time, a total over a horizon of steps with a weight of the final state, or a discounted
 sum. The matrix [[Q, N], [N', R]] must be positive semidefinite, so that no input gains by growing; R alone may be
@@ -16,6 +16,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite, set_fields
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.key import Rows, stated_as
 
@@ -70,7 +71,9 @@ class Cost(Displayed):
         if N.any():
             semidefinite("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
         if terminal is not None and horizon is None:
-            raise ProblemError("terminal is given without horizon; expected horizon and terminal, or neither of them")
+            raise ProblemError(
+                "terminal is given without horizon; expected both horizon and terminal, or neither of them"
+            )
         discount = number("discount", discount, 0.0, 1.0, closed=True)
         if discount == 0:
             raise ProblemError("discount is 0; expected 0 < discount ≤ 1")
@@ -81,7 +84,7 @@ class Cost(Displayed):
             if horizon > LONGEST:
                 raise ProblemError(
                     f"horizon is {horizon} steps; expected at most {LONGEST}, since every step has its own gains: use "
-                    "an average or a discount for longer runs"
+                    "an average or discounted cost for longer runs"
                 )
             terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
         set_fields(self, {"Q": Q, "R": R, "N": N, "horizon": horizon, "terminal": terminal, "discount": discount})
@@ -90,7 +93,7 @@ class Cost(Displayed):
     def of_variances(
         cls, C: ArrayLike, output_variance: ArrayLike, input_variance: ArrayLike, D: ArrayLike | None = None
     ) -> Cost:
-        """Return the average cost Σ y_i²/(variance of y_i) + Σ u_j²/(variance of u_j), with y = C x (Bryson's rule).
+        """Return the cost that weights each output of y = C x and each input by its inverse variance (Bryson's rule).
 
         With a direct feedthrough D, y = C x + D u are the outputs after the input has changed.
 
@@ -122,15 +125,15 @@ class Cost(Displayed):
         return cls(Q, R + D.T @ (D / outputs[:, None]), C.T @ (D / outputs[:, None]))
 
     def summary(self) -> Mapping[str, str | Array | None]:
-        """Return the type and the weights of the cost by name."""
+        """Return the type of the cost and its weights by name."""
         N = self.N if self.N.any() else None
         return {"kind": self.short(), "Q": self.Q, "R": self.R, "N": N, "terminal": self.terminal}
 
     def short(self) -> str:
-        """Return the type of the cost as text: an average, a total or a discounted sum of the quadratic form."""
+        """Describe whether the cost is an average, a total over a horizon or a discounted sum, and of which form."""
         kind = "an average"
         if self.horizon is not None:
-            kind = f"a finite-horizon run of {self.horizon} steps"
+            kind = f"a finite-horizon run of {number_of(self.horizon, 'step')}"
         elif self.discount < 1:
             kind = f"a discounted sum, factor {self.discount:g} per step"
         cross = " + 2x'Nu" if self.N.any() else ""
@@ -138,7 +141,7 @@ class Cost(Displayed):
 
     @property
     def mission(self) -> bool:
-        """True if the cost is a total over a finite horizon or a discounted sum, and not an average."""
+        """True if the cost is a total over a horizon or a discounted sum. False if it is a long-run average."""
         return self.horizon is not None or self.discount < 1
 
     def same_as(self, other: Cost) -> bool:

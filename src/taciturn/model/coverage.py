@@ -1,4 +1,4 @@
-"""The properties of plants, costs, networks and policy steps that a theory or an interpreter takes into account.
+"""The properties of plants, costs, networks and policy steps that theories, and programs that run policies, support.
 
 A theorem holds for the plants, networks and policies of its assumptions, and a back end or a format carries out only
 some steps. A new property of the model, such as a limit of inputs, must not be ignored silently by any of them. So each
@@ -47,7 +47,7 @@ _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of loss
 
 
 def names(owner: str, properties: str) -> frozenset[str]:
-    """Return the names of a class and of its properties, such as ``cost`` and ``cost.Q``."""
+    """Return the names of a class and of its properties, such as ``cost``, ``cost.Q`` and ``cost.R``."""
     return frozenset({owner, *(f"{owner}.{name}" for name in properties.split())})
 
 
@@ -108,19 +108,19 @@ THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise
 
 @dataclass(frozen=True, repr=False)
 class Coverage(Displayed):
-    """The properties that an interpreter carries out."""
+    """The properties of a model that a part of Taciturn, such as the simulation or an exporter, supports."""
 
     names: AbstractSet[str]  # the names of these properties
     refusal: str  # the interpreter and its limit, as the message states them: "certificates do not support"
     remedy: str = "a loop without this property"  # the expected loop, as the message states it
 
     def check(self, *things: object) -> None:
-        """Raise an error if a property is given that the interpreter does not carry out."""
+        """Raise an error if one of the given objects has a property that is not supported."""
         for name in uncovered(self.names, *things):
             raise ProblemError(self.sentence(name))
 
     def sentence(self, name: str) -> str:
-        """Return the message about a property."""
+        """Write the error message for a property that is not supported."""
         return f"{name} is given, which {self.refusal}; expected {self.remedy}"
 
 
@@ -128,7 +128,7 @@ SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
 
 
 def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
-    """Return the names of the properties that are given but not covered, in the order in which they are found."""
+    """Return the names of the properties that the given objects have but that are not in ``covered``."""
     found, known = dict[str, None](), frozenset(covered)
     for thing in things:
         _collect(known, thing, found)
@@ -185,7 +185,7 @@ def _look(
 
 @lru_cache(maxsize=256)
 def _described(kind: type[object]) -> tuple[str, Mapping[str, Field[Any]], tuple[str, ...]]:
-    """Return the name of a class in coverages, its fields by name, and what a class derived from it overrides."""
+    """Return the name of a class in coverages, its fields by name, and the fields that a derived class overrides."""
     base = next((one for one in kind.__mro__ if one.__module__.startswith(MODEL)), None)
     if base is None or not is_dataclass(kind):
         return kind.__name__, {}, ()

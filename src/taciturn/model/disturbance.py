@@ -1,4 +1,4 @@
-"""Effects of signals on a plant: outputs that follow set-points, slow disturbances of inputs, stored references.
+"""Plants extended by disturbances and set-points, and reference trajectories known at both ends of the network.
 
 ``follow`` gives a plant the exosystem of its disturbances and set-points. A policy estimates these disturbances, and
 its cost counts the deviations from the states and inputs at which the outputs are at their set-points
@@ -18,13 +18,14 @@ The step function of a nonlinear plant gets the same states (``DisturbedDynamics
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number, set_fields
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -39,9 +40,12 @@ MOST_STEPS = 1e6  # longest time constant in steps
 USUAL_SHARE = 0.5  # default deviation, relative to the noise of a step as seen at the input
 
 
+AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Disturbance(Displayed):
-    """A slowly varying disturbance that adds to each input of a plant.
+    """A slowly varying disturbance that is added to each input of a plant.
 
     Args:
         time_constant: time constant T in seconds; default 1,000 steps.
@@ -67,18 +71,18 @@ class Disturbance(Displayed):
             deviation = array("disturbance.deviation", deviation, (None,) * np.ndim(deviation))
             if deviation.ndim > 1 or (deviation < 0).any():
                 raise ProblemError(
-                    f"disturbance.deviation is {deviation.tolist()}; expected a deviation of at least 0, or one for "
-                    "each input"
+                    f"disturbance.deviation is {deviation.tolist()}; expected a standard deviation of at least 0, or "
+                    "one such number for each input"
                 )
         set_fields(self, {"time_constant": time_constant, "deviation": deviation})
 
     @property
     def absent(self) -> bool:
-        """True if the deviation is zero, so that there is no disturbance."""
+        """True if the standard deviation is zero, so that there is no disturbance."""
         return self.deviation is not None and not self.deviation.any()
 
     def completed(self, plant: Plant | ContinuousPlant, period: float | None) -> Disturbance:
-        """Return the disturbance with default values for a plant, which is sampled with a period if it is continuous.
+        """Fill in the default values for a plant. A continuous plant is sampled with the given period.
 
         Raises:
             ProblemError: the number of deviations is not that of the inputs, or the noise gives no default.
@@ -91,12 +95,14 @@ class Disturbance(Displayed):
             deviation = USUAL_SHARE * (seen / np.sqrt(step) if isinstance(plant, ContinuousPlant) else seen)
             if not deviation.all():
                 raise ProblemError(
-                    "disturbance.deviation is missing, and W has no noise at an input to derive it from; expected the "
-                    "deviation of the slow disturbance in units of the input, or no disturbance"
+                    "disturbance.deviation is missing, and it cannot be derived from W, because some input has no "
+                    "process noise; expected the standard deviation of the slow disturbance in the unit of the input, "
+                    "or no disturbance"
                 )
         elif deviation.ndim == 1 and len(deviation) != plant.inputs:
             raise ProblemError(
-                f"disturbance.deviation has {len(deviation)} entries; expected {plant.inputs}, one per input"
+                f"disturbance.deviation has {len(deviation)} entries; expected {plant.inputs} entries, one for each "
+                "input"
             )
         T = USUAL_STEPS * step if self.time_constant is None else self.time_constant
         if MOST_STEPS * step < T:
@@ -107,12 +113,12 @@ class Disturbance(Displayed):
         return Disturbance(T, np.broadcast_to(deviation, (plant.inputs,)))
 
     def text(self) -> str:
-        """Return time constant and deviation as text."""
+        """Write the time constant and the standard deviation as text."""
         sizes = [] if self.deviation is None else [f"{value:.4g}" for value in np.atleast_1d(self.deviation)]
         return f"time constant {self.time_constant:.4g} s, deviation {', '.join(sizes)}"
 
     def added_to(self, plant: Plant | ContinuousPlant, mission: bool = False) -> Plant | ContinuousPlant:
-        """Return the plant with the state (x, d), for a disturbance with time constant and deviations.
+        """Extend the state x of a plant by the disturbance d, whose time constant and deviation must be given.
 
         Args:
             plant: the plant.
@@ -128,12 +134,12 @@ class Disturbance(Displayed):
         return _with(plant, _at_inputs(plant, kept, (1.0 - kept**2) * self.deviation**2), spread)
 
     def stepped(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
-        """Return the plant with the state (x, d) and a constant d of one deviation, the disturbance after a step."""
+        """Extend the state x of a plant by a constant disturbance d of the size of one standard deviation."""
         assert self.deviation is not None
         return _with(plant, _at_inputs(plant, float(isinstance(plant, Plant)), 0.0, self.deviation))
 
     def removed_from(self, plant: Plant) -> Plant:
-        """Return the plant with the state x, the inverse of ``added_to``."""
+        """Remove the disturbance d that ``added_to`` has added to the state of a plant."""
         n = plant.stated - plant.inputs
         function = None if plant.function is None else cast("DisturbedDynamics", plant.function.function).dynamics
         alone = Plant(
@@ -144,7 +150,7 @@ class Disturbance(Displayed):
 
 
 def padded(cost: Cost, inputs: int) -> Cost:
-    """Return the cost of a plant with the state (x, d), which does not weight d."""
+    """Extend a cost to the state (x, d) of a plant with disturbances d. The disturbances have weight zero."""
     rest = np.zeros((inputs, inputs))
     terminal = None if cost.terminal is None else block_diagonal(cost.terminal, rest)
     N = np.vstack([cost.N, rest])
@@ -177,18 +183,27 @@ def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float =
     if isinstance(plant, ContinuousPlant):
         if plant.jumps is not None:
             raise ProblemError(
-                "the plant has jumps, and a slow disturbance needs Gaussian noise; expected W instead of jumps, or no "
-                "disturbance"
+                "the plant has jumps, but a slow disturbance needs Gaussian noise; expected W instead of jumps, or "
+                "no disturbance"
             )
         found = ContinuousPlant(
             A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate, D=plant.D
         )
-        return counted_from(found, plant, also)
+        return counted_from(_following(found, plant, m), plant, also)
     function = None if plant.function is None else DisturbedDynamics(plant.function, None, added.S)
     found = Plant(
         A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate, D=plant.D
     )
-    return counted_from(found, plant, also)
+    return counted_from(_following(found, plant, m), plant, also)
+
+
+def _following(found: AnyPlant, plant: Plant | ContinuousPlant, more: int) -> AnyPlant:
+    """Return a plant with more states that follows the set-points of the plant that it was made of."""
+    own = plant.exosystem
+    if own is None:
+        return found
+    E, outputs = np.pad(own.E, ((0, more), (0, 0))), np.pad(own.outputs, ((0, 0), (0, more)))
+    return altered(found, {"exosystem": replace(own, E=E, outputs=outputs)})
 
 
 FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
@@ -196,7 +211,7 @@ FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reference(Displayed):
-    """A reference trajectory of states r_0 … r_N and inputs f_0 … f_{N−1}, stored at both ends of the network.
+    """A reference trajectory: states r_0 … r_N and inputs f_0 … f_{N−1}, stored at both ends of the network.
 
     Args:
         states: reference states r_k, (steps + 1, n), in the units of the plant.
@@ -216,13 +231,13 @@ class Reference(Displayed):
         set_fields(self, {"states": found, "inputs": fed})
 
     def relative_to(self, plant: Plant) -> Reference:
-        """Return the trajectory of the deviations from the operating point of a plant."""
+        """Express the trajectory as deviations from the operating point of a plant."""
         point = plant.operating_point
         fits = (self.states.shape[1], self.inputs.shape[1]) == (plant.states, plant.inputs)  # otherwise check raises
         return self if point is None or not fits else Reference(self.states - point.x, self.inputs - point.u)
 
     def check(self, plant: Plant, horizon: int) -> None:
-        """Check that the reference satisfies r_{k+1} = A r_k + B f_k of the plant over ``horizon`` steps.
+        """Check that the trajectory satisfies the plant's equation r_{k+1} = A r_k + B f_k in ``horizon`` steps.
 
         Raises:
             ProblemError: if a size or the length differs, or a state does not follow from the step before.
@@ -234,8 +249,8 @@ class Reference(Displayed):
         ):
             if found != wanted:
                 raise ProblemError(
-                    f"reference.{name} has shape {found}; expected {wanted}, from the horizon and the dimensions of "
-                    "the plant"
+                    f"reference.{name} has shape {found}; expected the shape {wanted}, from the horizon and the "
+                    "dimensions of the plant"
                 )
         caused, pushes = self.states[:-1] @ plant.A.T, self.inputs @ plant.B.T
         miss = np.abs(caused + pushes - self.states[1:]).max(axis=1)
@@ -244,13 +259,14 @@ class Reference(Displayed):
             step = int(np.argmax(miss > allowed))
             raise ProblemError(
                 f"reference.states differs by {miss[step]:.3g} at step {step + 1} from A r + B f of step {step}; "
-                f"expected r⁺ = A r + B f within {allowed:.3g}: compute the states from the inputs with all digits"
+                f"expected states r and inputs f with r⁺ = A r + B f within {allowed:.3g}: compute the states from the "
+                "inputs with all digits"
             )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracking(Displayed):
-    """The reference signals of a policy; the cost penalises the deviations of state and input from these signals.
+    """Names of the signals with the reference state and input of a policy, from which deviations of x and u cost.
 
     Args:
         state: name of the signal with the reference state r_k.
@@ -263,9 +279,6 @@ class Tracking(Displayed):
     final: Array
 
 
-AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
-
-
 def follow(
     plant: AnyPlant,
     outputs: ArrayLike | None = None,
@@ -273,7 +286,7 @@ def follow(
     disturbances: Sequence[ExternalDisturbance] | ExternalDisturbance = (),
     changes: Changes | None = None,
 ) -> AnyPlant:
-    """Return a plant with disturbances that are to be compensated, and with set-points of some outputs.
+    """Extend a plant by external disturbances that the input shall compensate, and by set-points of some outputs.
 
     Args:
         plant: the plant.
@@ -304,7 +317,8 @@ def follow(
         instance("disturbances", one, ExternalDisturbance)
     if plant.exosystem is not None:
         raise ProblemError(
-            "the plant already has disturbances or set-points; expected all of them in one call, for the plant without"
+            "the plant already has disturbances or set-points; expected a plant without them: give all disturbances "
+            "and set-points in one call"
         )
     fed = plant.D if outputs is None else None
     target = SetPoint(plant.C if outputs is None else outputs, value, changes, D=fed)
@@ -312,10 +326,12 @@ def follow(
 
 
 def with_target(plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance]) -> AnyPlant:
-    """Return a plant with disturbances and set-points."""
+    """Extend a plant by the states of external disturbances and set-points."""
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
-            f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
+            f"reference.outputs has {number_of(target.outputs.shape[1], 'column')}; expected "
+            f"{number_of(len(plant.A), 'column')}, one for each "
+            "state"
         )
     found = Exosystem.of(disturbances, target, len(plant.C), plant.continuous, plant.operating_point)
     return altered(plant, {"exosystem": found})
@@ -323,7 +339,7 @@ def with_target(plant: AnyPlant, target: SetPoint, disturbances: Sequence[Extern
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisturbedDynamics(Displayed):
-    """A step function with signals: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
+    """A nonlinear step function with disturbances d: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
 
     dynamics: Dynamics  # f
     E: Array | None  # effect of the signals on the next state, (n, q); None if they add to the inputs: f(x, u + d, w)
@@ -339,7 +355,7 @@ class DisturbedDynamics(Displayed):
 
     @staticmethod
     def of(function: Dynamics, E: Array, S: Array, rest: Array) -> Dynamics:
-        """Return the function of a plant with its signals, which is moved as the function of the plant alone is."""
+        """Extend a plant's step function by disturbances, and shift it to the same operating point as before."""
         moved = function.function
         if not isinstance(moved, MovedDynamics):
             return Dynamics(DisturbedDynamics(function, E, S))

@@ -40,7 +40,7 @@ AT_REST = 1e-9  # largest entry of f(x, u, 0) − x at an equilibrium, relative 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dynamics(Displayed):
-    """The step function x⁺ = f(x, u, w) of a nonlinear plant, with white noise w ~ N(0, W) drawn at every step.
+    """The step function x⁺ = f(x, u, w) of a nonlinear plant, with white noise w ~ N(0, W).
 
     The function is sent to other processes as the text of its file, or by name if it belongs to an importable module.
 
@@ -74,16 +74,18 @@ class Dynamics(Displayed):
             result = np.asarray("nothing" if found is None else found, dtype=np.float64)  # None would be NaN
         except (TypeError, ValueError) as error:
             raise ProblemError(
-                f"function gives {quoted(found)}, which is not an array of numbers ({error}); expected the next state"
+                f"the function returns {quoted(found)}, which is not an array of numbers ({error}); expected the next "
+                "state"
             ) from None
         if result.shape != given[0].shape:
             raise ProblemError(
-                f"function gives an array of the shape {result.shape}; expected {given[0].shape}, the next state"
+                f"the function returns an array of the shape {result.shape}; expected {given[0].shape}, the shape of "
+                "the next state"
             )
         return result
 
     def check(self, A: Array, B: Array, W: Array, at: tuple[Array, Array] | None = None) -> None:
-        """Reject a function whose linearisation at an operating point differs from the given matrices A and B.
+        """Raise an error unless the linearisation of the function at the operating point has the given A and B.
 
         The noise must enter as in A x + B u + w: wherever W is not zero, the derivative with respect to w must be the
         identity.
@@ -112,28 +114,28 @@ class Dynamics(Displayed):
             if wrong is not None:
                 i, j = wrong
                 raise ProblemError(
-                    f"{name} has {stated[i, j]:.10g} in row {i + 1}, column {j + 1}, and the derivative of function "
-                    f"with respect to {by} at {point} has {found[i, j]:.10g} there; expected the linearisation of the "
-                    f"function{remedy}"
+                    f"the matrix {name} has {stated[i, j]:.10g} in row {i + 1}, column {j + 1}, but the derivative of "
+                    f"the function with respect to {by} at {point} has {found[i, j]:.10g} there; expected the "
+                    f"linearisation of the function{remedy}"
                 )
         wrong = _first_apart(derivatives[2] @ W, W)
         if wrong is not None:
             i = wrong[0]
             row = ", ".join(f"{value:.6g}" for value in derivatives[2][i])
             raise ProblemError(
-                f"the derivative of function with respect to w at {point} has the row [{row}] for state {i + 1}; "
+                f"the derivative of the function with respect to w at {point} has the row [{row}] for state {i + 1}; "
                 "expected the identity wherever W is not 0, as in A x + B u + w: define W as the covariance of the "
                 "noise that is added to the next state"
             )
         probe = x + 1e-3, u + 1e-3, np.zeros(n)
         if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
             raise ProblemError(
-                "function gives two different results for the same x, u and w; expected a deterministic function, "
-                "with noise from w only"
+                "the function returns two different results for the same x, u and w; expected a deterministic "
+                "function, with noise from w only"
             )
 
     def derivatives(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return the derivatives with respect to x, u and w at a point, computed once: (n, n), (n, m), (n, n)."""
+        """Return the derivatives of f with respect to x, u and w at a point: (n, n), (n, m) and (n, n)."""
         key = (x.tobytes(), u.tobytes())
         if key not in self._derivatives:
             self._derivatives[key] = _derivatives(self, [x, u, np.zeros(len(x))])
@@ -160,34 +162,34 @@ class Dynamics(Displayed):
 
 @cache
 def dynamics_of(text: str, path: str, name: str) -> Dynamics:
-    """Return the named function from the text of a Python file, which is executed once per process."""
+    """Execute the text of a Python file once per process; return the step function ``name`` that it defines."""
     module = ModuleType("plant_function")
     module.__file__ = path
     try:
         exec(compile(text, path, "exec"), module.__dict__)
     except SyntaxError as error:
         raise ProblemError(
-            f"{path!r} has a syntax error in line {error.lineno} ({error.msg}); expected a Python file with the "
-            f"function {name}"
+            f"the Python file {path!r} has a syntax error in line {error.lineno} ({error.msg}); expected a file that "
+            f"defines the function {name}"
         ) from None
     except (Exception, SystemExit) as error:
         raise ProblemError(
-            f"{path!r} fails when it is executed ({_told(error)}); expected a Python file with the function {name} "
-            "that imports no other file of its folder"
+            f"the Python file {path!r} fails when it is executed ({_told(error)}); expected a file that defines the "
+            f"function {name} and imports no other file of its folder"
         ) from None
     found = getattr(module, name, None)
     if not callable(found):
         names = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         got = f"has no {name!r}" if found is None else f"has {name!r}, which is {quoted(found)}"
         listed = f" (it has {', '.join(names)})" if names else ""
-        raise ProblemError(f"{path!r} {got}; expected a function x, u, w → x⁺ of that name{listed}")
+        raise ProblemError(f"the Python file {path!r} {got}; expected a function x, u, w → x⁺ of that name{listed}")
     return Dynamics(found, text, path, name)
 
 
 def linearise(
     function: Map, states: int, inputs: int, at: tuple[ArrayLike, ArrayLike] | None = None
 ) -> tuple[Array, Array]:
-    """Return the derivatives A and B of x⁺ = f(x, u, w) with respect to x and u at w = 0.
+    """Compute A and B, the derivatives of x⁺ = f(x, u, w) with respect to x and u, at w = 0.
 
     Difference quotients with decreasing steps are extrapolated to step zero until they agree to about twelve digits.
 
@@ -221,7 +223,7 @@ def linearise(
 
 
 def integrate(ode: Callable[[Any, Any], Any], dt: float, steps: int = 1) -> Map:
-    """Return the step function x⁺ = f(x, u, w) of dx/dt = g(x, u) with the input held for dt seconds.
+    """Make the step function x⁺ = f(x, u, w) from dx/dt = g(x, u), for an input that is constant for ``dt`` seconds.
 
     The equation is integrated by the classical fourth-order Runge–Kutta method with steps of dt/steps seconds. The
     noise w is added to the final state.
@@ -266,7 +268,9 @@ def _follow(ode: Callable[[Any, Any], Any], dt: float, steps: int, x: Any, u: An
 def _slope(ode: Callable[[Any, Any], Any], x: Any, u: Any) -> Any:
     found = _as_array(ode(x, u))
     if found.shape != x.shape:
-        raise ProblemError(f"ode gives an array of the shape {found.shape}; expected {x.shape}, the shape of the state")
+        raise ProblemError(
+            f"ode returns an array of the shape {found.shape}; expected {x.shape}, the shape of the state"
+        )
     return found
 
 
@@ -321,7 +325,7 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
         before = row
     if best is None:
         raise ProblemError(
-            f"function gives no finite values when {name} changes by {step:.1g}; expected a function that is "
+            f"the function returns no finite values when {name} changes by {step:.1g}; expected a function that is "
             "differentiable at the given point"
         )
     return best
@@ -340,7 +344,8 @@ def _called(name: str, function: Callable[..., Any], given: Sequence[Array]) -> 
             for letter, value in zip("xuw", given, strict=False)
         )
         raise ProblemError(
-            f"{name} fails at {at} ({_told(error)}); expected a function of x, u and w that returns the next state"
+            f"{name} fails at the point {at} ({_told(error)}); expected a function of x, u and w that returns the next "
+            "state"
         ) from None
 
 
@@ -353,7 +358,8 @@ def _expect_finite(values: Array, name: str, where: str) -> None:
     lost = np.flatnonzero(~np.isfinite(values))
     if lost.size:
         raise ProblemError(
-            f"{name} gives {values[lost[0]]} as state {int(lost[0]) + 1} {where}; expected finite numbers"
+            f"{name} returns {values[lost[0]]} as state {int(lost[0]) + 1} {where}; expected finite numbers for all "
+            "states"
         )
 
 
@@ -365,12 +371,13 @@ def _expect_rest(x: Array, found: Array, located: bool) -> None:
     i = int(apart.argmax())
     if not located:
         raise ProblemError(
-            f"function gives {found[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, the equilibrium about "
-            "which A and B are its linearisation: give plant.operating_point, the equilibrium"
+            f"the function returns {found[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, because A and "
+            "B are the linearisation about this equilibrium: give another equilibrium as plant.operating_point"
         )
     raise ProblemError(
-        f"function gives {found[i]:.12g} as state {i + 1} at the operating point with w = 0; expected {x[i]:.12g}, the "
-        "same state: use operating_point.x = taciturn.model.dynamics.equilibrium(function, x, u), with all digits"
+        f"the function returns {found[i]:.12g} as state {i + 1} at the operating point with w = 0; expected "
+        f"{x[i]:.12g}, the same state: use operating_point.x = taciturn.model.dynamics.equilibrium(function, x, u), "
+        "with all digits"
     )
 
 
@@ -387,7 +394,7 @@ NEWTON, REST = 50, 1e-13  # most steps of Newton's method, and its largest resid
 
 
 def equilibrium(function: Map, x: ArrayLike, u: ArrayLike) -> Array:
-    """Return the state at which x⁺ = f(x, u, w) rests with a constant input and w = 0, by Newton's method.
+    """Compute the equilibrium x = f(x, u, 0) for a constant input u, by Newton's method.
 
     Args:
         function: f(x, u, w), as for :func:`linearise`.
@@ -420,6 +427,6 @@ def equilibrium(function: Map, x: ArrayLike, u: ArrayLike) -> Array:
         slope = f.derivatives(found, input)[0] - np.eye(n)
         found = found - np.linalg.lstsq(slope, off, rcond=None)[0]
     raise ProblemError(
-        f"no equilibrium of function is found from x = {np.asarray(x).tolist()} with u = {input.tolist()}; expected a "
-        "state near an equilibrium, and an input with which the plant rests"
+        f"no equilibrium of the function was found from x = {np.asarray(x).tolist()} with u = {input.tolist()}; "
+        "expected a state near an equilibrium, and the input that keeps the plant there"
     )

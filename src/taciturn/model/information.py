@@ -1,4 +1,4 @@
-"""Checks that a policy can run over a network, and that every node reads only what is available to it.
+"""Checks that a policy can run over a network, and that each node uses only signals that are available to it.
 
 A policy is a list of steps, each at a node. Nodes at one site share all signals. A node can read
 
@@ -49,33 +49,34 @@ Site: TypeAlias = frozenset[str]
 
 
 def check_network(policy: Policy, network: Network) -> None:
-    """Reject a network over which a policy cannot run, or with properties that the policy would ignore."""
+    """Raise an error if a policy cannot run over a network, or would ignore a property that the network has."""
     instance("network", network, Network)
     if network.nodes != policy.network.nodes:
         raise ProblemError(
-            f"the network has the nodes {', '.join(network.nodes)}, but this {policy.kind} was designed for "
-            f"{', '.join(policy.network.nodes)}; expected the nodes of the design, each with its role"
+            f"the network has the nodes {', '.join(network.nodes)}, but this {policy.kind} policy was designed for "
+            f"the nodes {', '.join(policy.network.nodes)}; expected the nodes of the design, each with its role"
         )
     check_information(policy, network)
     if network.delay != policy.network.delay:
         raise ProblemError(
-            f"network.delay is {network.delay}, but {policy.kind} was designed for {policy.network.delay}; "
-            "expected the delay of the design"
+            f"network.delay is {network.delay}, but the policy {policy.kind} was designed for a delay of "
+            f"{policy.network.delay}; expected the delay of the design"
         )
     for link, law in network.links.items():
         kept = policy.network.links[link].intervals
         for name in (name for name, limit in law.intervals.items() if limit != kept[name]):
             raise ProblemError(
-                f"{network.key(link, name)} is {law.intervals[name]}, but the decisions of this {policy.kind} keep "
-                f"{kept[name]}; expected the limits of the design, or the loop of `close`, whose policy keeps these"
+                f"{network.key(link, name)} is {law.intervals[name]}, but this {policy.kind} policy was designed for "
+                f"{kept[name]}; expected the limits of the design, or the loop that `close` returns, whose policy "
+                "keeps the limits of the network"
             )
     packet_shapes(policy, network)
     _expect_within_ranges(policy, network)
     carrying = links_of(policy)
     if network.rounded and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
-            f"network.payload is {network.payload!r}, but each receiver of {policy.kind} already has the signals in "
-            "its packets, so rounding has no effect; expected payload = 'float64', the default"
+            f"network.payload is {network.payload!r}, but each receiver of the policy {policy.kind} already has the "
+            "signals in its packets, so rounding has no effect; expected payload = 'float64', the default"
         )
     for link in network.links:
         limited = [name for name, limit in network.links[link].intervals.items() if limit not in (None, 1)]
@@ -83,20 +84,20 @@ def check_network(policy: Policy, network: Network) -> None:
         if stated and link not in carrying:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
-                f"{stated[0]} is given, but no node of {policy.kind} receives a packet on the {link} link; "
+                f"{stated[0]} is given, but no node of the policy {policy.kind} receives a packet on the {link} link; "
                 f"expected properties of {others or 'no link'} only: remove {stated[0]}"
             )
 
 
 def links_of(policy: Policy) -> tuple[str, ...]:
-    """Return the links on which packets are sent and whose arrivals are a condition of a policy step."""
+    """Return the links on which the policy sends and reacts to whether a packet arrives."""
     sent: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
     heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
     return tuple([link for link in sent if link in heard])
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
-    """Return whether the network acknowledges packets but no node uses the acknowledgements."""
+    """Return whether the network acknowledges packets, but the policy does not use the acknowledgements."""
     told = any(isinstance(on, Acknowledged) for on in _conditions(policy))
     return any(network.acknowledges(link) for link in network.links) and not told
 
@@ -107,7 +108,7 @@ def _conditions(policy: Policy) -> list[Condition | None]:
 
 
 def check_information(policy: Policy, network: Network) -> None:
-    """Reject a policy in which a node reads a signal that is not available to it."""
+    """Raise an error if a node of a policy uses a signal that is not available to it."""
     INFORMED.check(policy.parts)
     knowledge = _Knowledge(policy, network)
     for step in policy.steps:
@@ -134,12 +135,12 @@ class _Knowledge:
             for name in assigned(step):
                 if self.home.setdefault(name, site) != site:
                     raise InformationError(
-                        f"{name} is assigned at {step.at} and at another site; expected only one site that assigns "
-                        "this signal"
+                        f"the signal {name} is assigned at the node {step.at} and at another site; expected only one "
+                        "site that assigns this signal"
                     )
 
     def check(self, step: Step) -> None:
-        """Check that everything a policy step reads is available at its node."""
+        """Check that the node of a policy step has all signals and conditions that the step uses."""
         if isinstance(step, Draw):
             return
         on = None if isinstance(step, Apply | Decide) else step.on
@@ -152,36 +153,39 @@ class _Knowledge:
                 self._check_schedule(weight, step.at)
 
     def check_condition(self, condition: Condition | None, at: str) -> None:
-        """Check that the outcome of a condition is available at a node."""
+        """Check that the node ``at`` knows whether a condition holds."""
         site = self.policy.site(at)
         if isinstance(condition, str) and self.decided[condition] != site:
             raise InformationError(
-                f"{at} uses the decision {condition!r} of another node; "
-                "expected its own decisions, or a received packet"
+                f"the node {at} uses the decision {condition!r} of another node; expected one of its own decisions, or "
+                "a received packet"
             )
         if isinstance(condition, Received) and self.network.receiver(condition.link) not in site:
             raise InformationError(
-                f"{at} uses packets of the {condition.link} link, which it does not receive; expected a link on which "
-                "it receives packets"
+                f"the node {at} uses packets of the {condition.link} link, which it does not receive; expected a link "
+                "on which it receives packets"
             )
         if isinstance(condition, Acknowledged):
             if condition.link not in self.packets or self.packets[condition.link][0] != site:
                 raise InformationError(
-                    f"{at} uses an acknowledgement of the {condition.link} link; expected a link on which it sends"
+                    f"the node {at} uses an acknowledgement of the {condition.link} link; expected a link on which it "
+                    "sends"
                 )
             if self.network.links[condition.link].acknowledged is False:
                 key = self.network.key(condition.link, "acknowledged")
                 sends_none = f"which sends none; expected {key} = true"
                 if key == PROTOCOL:
                     sends_none = "but protocol 'udp' sends none; expected protocol 'tcp'"
-                raise InformationError(f"{at} uses an acknowledgement of the {condition.link} link, {sends_none}")
+                raise InformationError(
+                    f"the node {at} uses an acknowledgement of the {condition.link} link, {sends_none}"
+                )
 
     def _check_read(self, name: str, at: str, arrived: str | None) -> None:
         packet = self.packets[arrived][1] if arrived in self.packets else ()
         if name != ONE and self.home.get(name) != self.policy.site(at) and name not in packet:
             raise InformationError(
-                f"{at} reads {name!r}, which is not available there; expected a signal of its site or of a received "
-                "packet"
+                f"the node {at} reads the signal {name!r}, which is not available there; expected a signal of its site "
+                "or of a received packet"
             )
 
     def _check_schedule(self, weight: object, at: str) -> None:
@@ -192,8 +196,8 @@ class _Knowledge:
         )
         if owner is not None and self.policy.site(owner) != self.policy.site(at):
             raise InformationError(
-                f"{at} reads the location {weight.by!r} of {owner}; expected a location of its own or a shared step "
-                "counter"
+                f"the node {at} reads the location {weight.by!r} of the node {owner}; expected a location of its own "
+                "or a shared step counter"
             )
 
 

@@ -1,4 +1,4 @@
-"""How a problem file states the fields of a model class: the class is the schema of its table.
+"""Metadata that state how the keys of a problem file correspond to the fields of a model class.
 
 ``problem.schema`` reads a table by the fields of its class: each field is a key with its type, which must be given if
 its argument has no default. So a new property of a link is one field of ``LinkLaw`` and one line of its docstring.
@@ -17,7 +17,7 @@ NO_KEY = {"kind": None}  # of a field that the table does not state
 
 
 def stated_as(kind: Any, name: str | None = None, note: str = "") -> dict[str, Any]:
-    """Return the metadata of a field whose key has another type than the field, another name, or a note.
+    """Return metadata for a field whose key in problem files has another type or name, or needs a note.
 
     A key whose type contains None may be omitted.
     """
@@ -25,5 +25,5 @@ def stated_as(kind: Any, name: str | None = None, note: str = "") -> dict[str, A
 
 
 def table_of(*classes: type) -> Any:
-    """Return the type of a table whose keys are the fields of classes; it is read as their arguments by name."""
+    """Return the type of a table in problem files whose keys are the fields of the given classes."""
     return Annotated[(dict[str, Any], *classes)]

@@ -1,4 +1,4 @@
-"""Limits of a plant's states, bounds on combinations z = C_z x, and the probabilities of their violation.
+"""Limits of states, or of combinations z = C_z x of states, and the probability that they are violated.
 
 Limits concern neither the design nor the loop. A study computes for each of them how often a step violates it, and how
 likely one violation is within a window: an hour, some steps, or a run. ``Violations`` holds the results: by limit, and
@@ -9,21 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen, set_fields
 from taciturn._display import Displayed
+from taciturn._figure import Panel, Series, Size, draw
+from taciturn._style import POLICIES, StyleName
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.key import Rows, stated_as
 from taciturn.model.result import SPLICED, Field, Result, plain_fields
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Limits(Displayed):
-    """Bounds low ≤ z ≤ high on combinations z = C_z x of the states, one row each.
+    """Limits low ≤ z ≤ high of the combinations z = C_z x of the states. Each combination is one row of C_z.
 
     Limits change neither the policy nor the loop: studies compute how often the loop violates them.
 
@@ -48,13 +54,18 @@ class Limits(Displayed):
         """Validate and store the arguments."""
         rows = array("limits.outputs", outputs, (None, None), "(combinations, states)")
         for i in np.flatnonzero(~rows.any(axis=1)):
-            raise ProblemError(f"limits.outputs[{i}] contains only zeros; expected the weights of the states")
+            raise ProblemError(
+                f"limits.outputs[{i}] contains only zeros; expected a row with at least one nonzero weight of a state"
+            )
         size = len(rows)
         found = {name: _bounds(name, value, size, side) for name, value, side in (("low", low, -1), ("high", high, 1))}
         for i in range(size):
             below, above = float(found["low"][i]), float(found["high"][i])
             if not np.isfinite([below, above]).any():
-                raise ProblemError(f"limits.outputs[{i}] has no bound; expected low, high or both")
+                raise ProblemError(
+                    f"limits.outputs[{i}] has neither a lower nor an upper limit; expected limits.low, limits.high or "
+                    "both"
+                )
             if below >= above:
                 raise ProblemError(
                     f"limits.low[{i}] is {below:g} and limits.high[{i}] is {above:g}; expected low < high"
@@ -67,29 +78,29 @@ class Limits(Displayed):
         return tuple(map(_named, self.outputs, self.low.tolist(), self.high.tolist()))
 
     def summary(self) -> Mapping[str, object]:
-        """Return the limits as text."""
+        """Return the values to display: all limits as one text."""
         return {"limits": self.short()}
 
     def short(self) -> str:
-        """Return all limits as text."""
+        """Write all limits as one text, separated by commas."""
         return ", ".join(self.names)
 
     def expect_states(self, states: int) -> None:
-        """Check that there is one column per state.
+        """Check that the matrix C_z has one column for each state of the plant.
 
         Raises:
             ProblemError: there are more or fewer columns.
         """
         if self.outputs.shape[1] != states:
             raise ProblemError(
-                f"limits.outputs has {self.outputs.shape[1]} columns; expected {states}, one for each state of the "
-                "plant"
+                f"limits.outputs has {number_of(self.outputs.shape[1], 'column')}; expected "
+                f"{number_of(states, 'column')}, one for each state of the plant"
             )
 
 
 @dataclass(frozen=True, repr=False)
 class Violation(Result):
-    """Probability that a limit is violated.
+    """Probability that a limit of the states is violated, per step and within a window of time.
 
     Args:
         per_step: share of the steps with a violation.
@@ -105,14 +116,13 @@ class Violation(Result):
 
     @property
     def method(self) -> str:
-        """The method as text: simulation, or importance splitting with its number of levels."""
-        several = "s" * (self.levels > 1)
-        return f"importance splitting, {self.levels} level{several}" if self.levels else "simulation"
+        """The method of computation as text: simulation, or importance splitting with its number of levels."""
+        return f"importance splitting, {number_of(self.levels, 'level')}" if self.levels else "simulation"
 
 
 @dataclass(frozen=True, repr=False)
 class Violations(Result):
-    """Probabilities that limits of the states are violated.
+    """Probabilities that limits of the states are violated: each limit, and at least one of them.
 
     Args:
         names: the limits as text.
@@ -134,28 +144,50 @@ class Violations(Result):
     window: str
 
     def by_limit(self) -> dict[str, Violation]:
-        """Return the probabilities by limit, then those of all limits together if there are several."""
+        """Return the probability of a violation by limit. If there are several limits, ``any limit`` is added."""
         found = dict(self.limits)
         return found if len(found) == 1 else {**found, "any limit": self.total}
 
     @property
     def limits(self) -> list[tuple[str, Violation]]:
-        """Each limit with its probability."""
+        """Each limit, as text, with the probability that it is violated."""
         return list(zip(self.names, self.each, strict=True))
 
     def sentences(self) -> list[str]:
-        """Return one sentence for each limit, and one for all together."""
+        """Write a sentence on each limit and, if there are several, a sentence on the violation of any limit."""
         return [
             f"{name}: {one.per_step} of the steps, {one.within} within {self._one} ({one.method})"
             for name, one in self.by_limit().items()
         ]
+
+    def panels(self) -> list[Panel]:
+        """Return a panel of a figure with the probabilities on a logarithmic axis. Zeros are omitted."""
+        found = [*self.by_limit().items()][::-1]  # the first is the uppermost
+        shares: dict[str, list[Estimate]] = {
+            "share of the steps": [one.per_step for _, one in found],
+            f"probability within {self._one}": [one.within for _, one in found],
+        }
+        series = list[Series]()
+        for index, (label, estimates) in enumerate(shares.items()):
+            seen = [(row, one) for row, one in enumerate(estimates) if one.value > 0]
+            errors = [min(one.standard_error, 0.9 * one.value) for _, one in seen]  # an end of a bar has a logarithm
+            if seen:
+                values, rows = [one.value for _, one in seen], [row for row, _ in seen]
+                series.append(Series(values, rows, label, "bars", errors, POLICIES[index]))
+        notes = [f"{one.per_step.value:.2g} of the steps" for _, one in found]
+        names = [name for name, _ in found]
+        return [Panel(series, "probability of a violation", names=names, notes=notes, xlog=bool(series))]
+
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Draw the probability that each limit is violated, with its standard error."""
+        return draw(self.panels(), ax, figsize, style)
 
     @property
     def _one(self) -> str:
         return {"hour": "an hour", "run": "a run"}.get(self.window, self.window)
 
     def records(self) -> Mapping[str, Estimate]:
-        """Return the columns of a table: the probability per step of each limit and of all, and within the window."""
+        """Return the probabilities of a violation, per step and within the window, as columns of a table."""
         many = len(self.each) > 1
         each = {f"violation_{i + 1}": one.per_step for i, one in enumerate(self.each) if many}
         return {"violation": self.total.per_step, "violation_within": self.total.within, **each}

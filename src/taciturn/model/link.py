@@ -1,4 +1,4 @@
-"""The law of a link: dropouts, acknowledgements, rounding, price and energy of a packet, and limits of the traffic."""
+"""Model of a link: packet loss, acknowledgements, quantisation, price and energy per packet, and traffic limits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
-from taciturn._text import percent
+from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.key import stated_as
@@ -23,9 +23,9 @@ MOST = 1e100  # largest price, energy and battery, and inverse of the least
 
 @dataclass(frozen=True, repr=False)
 class LinkLaw(Displayed):
-    """The properties of a link.
+    """The properties of a link between two nodes: losses, acknowledgements, encoding, prices and traffic limits.
 
-    A law of bursts that never leaves its initial state is stored as its loss probability.
+    A model of bursty losses that never leaves its initial state is stored as its loss probability.
 
     Args:
         loss: loss probability of a packet, in [0, 1].
@@ -79,7 +79,7 @@ class LinkLaw(Displayed):
         if self.range is not None:
             if self.payload != "int16":
                 raise ProblemError(
-                    f"range is given with payload = {self.payload!r}; expected a range with 'int16' only"
+                    f"range is given with payload = {self.payload!r}; expected a range only with payload = 'int16'"
                 )
             listed = cast("object", self.range)
             given = cast("Sequence[object]", listed if isinstance(listed, list | tuple) else (listed,))
@@ -90,7 +90,7 @@ class LinkLaw(Displayed):
         if self.acknowledged is not None:
             object.__setattr__(self, "acknowledged", flag("acknowledged", self.acknowledged))
         if self.battery is not None and self.energy is None:
-            raise ProblemError("battery is given without energy; expected the joules per packet")
+            raise ProblemError("battery is given without energy; expected energy, the joules per packet")
         for name in ("min_interval", "max_interval"):
             steps = getattr(self, name)
             if steps is not None and count(name, steps) > LONGEST:
@@ -98,44 +98,48 @@ class LinkLaw(Displayed):
         if self.max_interval is not None and self.max_interval < self.min_interval:
             raise ProblemError(
                 f"max_interval is {self.max_interval}, and min_interval is {self.min_interval}; expected max_interval "
-                "of at least min_interval"
+                "≥ min_interval"
             )
 
     @property
     def protocol(self) -> str:
-        """``"ideal"`` if every packet arrives, ``"tcp"`` with acknowledgements and ``"udp"`` without them."""
+        """Protocol of the link: ``"ideal"`` (no losses), ``"tcp"`` (acknowledgements) or ``"udp"`` (no
+        acknowledgements).
+        """
         return "ideal" if self.acknowledged is None else "tcp" if self.acknowledged else "udp"
 
     @property
     def intervals(self) -> dict[str, int | None]:
-        """The limits on the number of steps from one send to the next, by name."""
+        """Smallest and largest allowed number of steps from one send to the next, by the name of the key."""
         return {"min_interval": self.min_interval, "max_interval": self.max_interval}
 
     def spending(self) -> str:
-        """Return price, energy, battery and the limits of intervals as text, if they are given."""
+        """Describe price and energy per packet, battery and limits on send intervals, as far as they are given."""
         parts = [f"price {self.price:g}"] if self.price != 1.0 else []
         parts += [] if self.energy is None else [f"{self.energy:g} J per packet"]
         parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
-        parts += [f"at least {self.min_interval} steps between sends"] if self.min_interval > 1 else []
-        parts += [] if self.max_interval is None else [f"at most {self.max_interval} steps between sends"]
+        parts += [f"at least {number_of(self.min_interval, 'step')} between sends"] if self.min_interval > 1 else []
+        parts += [] if self.max_interval is None else [f"at most {number_of(self.max_interval, 'step')} between sends"]
         return "".join(f"; {part}" for part in parts)
 
     @property
     def ideal(self) -> bool:
-        """True if every packet arrives."""
+        """True if the link delivers every packet."""
         return self.acknowledged is None
 
     @property
     def mean_loss(self) -> float:
-        """The loss probability; for bursty losses, the stationary loss probability."""
+        """Loss probability of the link. If losses are bursty, it is that of the stationary distribution."""
         return self.loss if self.burst is None else self.burst.loss
 
     def power(self, rate: Estimate) -> Estimate | None:
-        """Return the mean power of the sender in watts at a rate in packets per second; None without an energy."""
+        """Return the mean power in watts that sending needs at a rate in packets per second; None if no energy is
+        given.
+        """
         return None if self.energy is None else rate.scaled(self.energy)
 
     def life(self, rate: Estimate) -> Estimate | None:
-        """Return the seconds until the battery is empty at a rate in packets per second; None without a battery.
+        """Return the battery's life in seconds at a rate in packets per second; None if no battery is given.
 
         Example:
             >>> LinkLaw(energy=2e-3, battery=9000.0).life(Estimate(5.0, 0.0, "exact")).value
@@ -145,7 +149,7 @@ class LinkLaw(Displayed):
         return None if power is None or self.battery is None or rate.value == 0 else power.inverse(self.battery)
 
     def short(self) -> str:
-        """Return the protocol and the losses."""
+        """Describe the protocol and the losses of the link in a few words."""
         return f"{self.protocol}, drops {percent(self.mean_loss)}{' in bursts' if self.burst else ''}"
 
 
@@ -155,7 +159,7 @@ IDEAL_LINK = LinkLaw()
 def usual_links(
     protocol: ProtocolName, payload: EncodingName, laws: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, LinkLaw]:
-    """Return the links of a sensor and an actuator by their properties, with messages in the words of ``[network]``."""
+    """Return the links of the default sensor and actuator. Error messages name their keys in ``[network]``."""
     if protocol not in ACKNOWLEDGED:
         raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
     choice("network.payload", payload, ("float64", "float32", "int16"))
@@ -173,7 +177,8 @@ def usual_links(
             )
         if law.get("battery") is not None and law.get("energy") is None:
             raise ProblemError(
-                f"network.{link}_battery is given without network.{link}_energy; expected the joules per packet"
+                f"network.{link}_battery is given without network.{link}_energy; expected network.{link}_energy, the "
+                "joules per packet"
             )
         try:
             found[link] = LinkLaw(**law, acknowledged=ACKNOWLEDGED[protocol], payload=payload)

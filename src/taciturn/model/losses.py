@@ -1,4 +1,4 @@
-"""Random processes of packet dropouts: a Markov chain whose state sets the loss probability of a link.
+"""Bursty packet losses: the loss probability of a link depends on a Markov chain, the state of the channel.
 
 A law is a class derived from ``LossLaw``: the transition probabilities between the states of the link, and the loss
 probability in each. ``Burst`` has a good and a bad state (Gilbert and Elliott), ``Chain`` any number of states. A
@@ -27,42 +27,42 @@ SUMS = 1e-9  # largest deviation of a sum of probabilities from 1
 
 
 class LossLaw(Displayed, ABC):
-    """Base class of the bursty losses of a link.
+    """Base class of the models of bursty packet losses.
 
     The link has states, and it moves from one to the next once per step, whatever is sent. Its first state has the
     stationary distribution. In each state, it drops a packet with a probability of its own.
 
-    A law of one's own is a frozen dataclass with its parameters as fields. It defines ``turns`` and ``losses``;
+    A loss model of your own is a frozen dataclass with its parameters as fields. It defines ``turns`` and ``losses``;
     simulations, nodes, relays and exact analyses read nothing else.
     """
 
     @property
     @abstractmethod
     def turns(self) -> Array:
-        """Transition probabilities from each state (row) to each state (column), (s, s)."""
+        """Transition probabilities of the channel state, (s, s): from the state of the row to that of the column."""
 
     @property
     @abstractmethod
     def losses(self) -> Array:
-        """Loss probability in each state, (s,)."""
+        """Probability that a packet is dropped, in each channel state, (s,)."""
 
     @cached_property
     def start(self) -> Array:
-        """Stationary distribution of the state, (s,)."""
+        """Stationary distribution of the channel state, (s,)."""
         return stationary(self.turns)
 
     @property
     def loss(self) -> float:
-        """Stationary loss probability."""
+        """Probability that a packet is dropped if the channel state has its stationary distribution."""
         return float((self.start * self.losses).sum())
 
     @property
     def constant(self) -> bool:
-        """True if the link never leaves its first state."""
+        """True if the channel always stays in its initial state."""
         return bool(self.start.max() == 1.0)
 
     def check(self) -> None:
-        """Check the transition probabilities and the losses.
+        """Check that the transition and loss probabilities are probabilities, and that their shapes match.
 
         Raises:
             ProblemError: these are no probabilities, or several stationary distributions exist.
@@ -71,11 +71,11 @@ class LossLaw(Displayed, ABC):
         name, states = type(self).__name__, losses.shape[0] if losses.ndim == 1 else 0
         if states == 0 or turns.shape != (states, states):
             raise ProblemError(
-                f"{name} has transition probabilities of shape {turns.shape} and losses of shape {losses.shape}; "
-                "expected (s, s) and (s,) for s states"
+                f"{name} has transition probabilities of shape {turns.shape} and loss probabilities of shape "
+                f"{losses.shape}; expected the shapes (s, s) and (s,) for s states"
             )
         if not (np.all(losses >= 0) and np.all(losses <= 1)):
-            raise ProblemError(f"{name} has the losses {losses.tolist()}; expected probabilities, in [0, 1]")
+            raise ProblemError(f"{name} has the loss probabilities {losses.tolist()}; expected numbers from 0 to 1")
         if not np.all(turns >= 0) or np.abs(turns.sum(axis=1) - 1).max() > SUMS:
             raise ProblemError(
                 f"{name} has the transition probabilities {turns.tolist()}; expected rows of probabilities with the "
@@ -83,20 +83,20 @@ class LossLaw(Displayed, ABC):
             )
         if not self.constant and np.linalg.matrix_rank(turns - np.eye(states)) < states - 1:
             raise ProblemError(
-                f"{name} has several groups of states that the link never leaves; expected one, so that its "
-                "stationary distribution is unique"
+                f"{name} has several groups of states that the link never leaves; expected one such group, so that "
+                "its stationary distribution is unique"
             )
 
     def pick(self, chances: Array) -> Array:
-        """Return the first state of the link for each uniform random number, (paths,)."""
+        """Draw the initial channel state of each path, (paths,), from a uniform random number per path."""
         return _pick(self.start, chances)
 
     def move(self, chance: float) -> tuple[int, ...]:
-        """Return the next state from each state, for one uniform random number."""
+        """Return the next channel state for each present state, given one uniform random number."""
         return tuple(int(_pick(row, chance)) for row in self.turns)
 
     def branches(self) -> list[tuple[list[float], list[float]]]:
-        """Return the moves to another state as a list of choices, which a program compares with one random number.
+        """Return the transitions between channel states in the form that a program evaluates with one random number.
 
         Each choice holds a limit and a next state for each present state. The first choice whose limit exceeds the
         random number determines the next state; if none does, the state remains.
@@ -111,7 +111,7 @@ class LossLaw(Displayed, ABC):
 
 
 def stationary(turns: Array) -> Array:
-    """Return the stationary distribution of a Markov chain, (s,)."""
+    """Compute the stationary distribution, (s,), of a Markov chain with the transition matrix ``turns``."""
     s = len(turns)
     equations = np.vstack([turns.T - np.eye(s), np.ones((1, s))])
     return np.asarray(np.linalg.lstsq(equations, np.append(np.zeros(s), 1.0), rcond=None)[0], dtype=np.float64)
@@ -129,19 +129,19 @@ USUAL = "gilbert-elliott"
 
 
 def law_names() -> list[str]:
-    """Return the names of all laws: those of this file, and those of installed packages."""
+    """Return the names of all loss models: those of Taciturn, and those of other installed packages."""
     return [*OWN, *(name for name in find_plugins(GROUP) if name not in OWN)]
 
 
 @cache
 def find_law(name: str) -> type[LossLaw]:
-    """Return the class of a law."""
+    """Return the class of the loss model with the given name; raise an error if there is none."""
     if name not in law_names():
-        raise ProblemError(f"law is {name!r}; expected one of {', '.join(law_names())}")
+        raise ProblemError(f"law is {name!r}; expected one of the loss laws {', '.join(law_names())}")
     added = find_plugins(GROUP).get(name)
     found = load_entry(added[0], f"the law {name} of losses") if added else OWN[name]
     if not (isinstance(found, type) and issubclass(found, LossLaw)):
-        raise ProblemError(f"the law {name} of losses is {found!r}; expected a class derived from LossLaw")
+        raise ProblemError(f"the loss law {name!r} is {found!r}; expected a class derived from LossLaw")
     return found
 
 
@@ -154,21 +154,19 @@ def _is_of(law: LossLaw, name: str) -> bool:
 
 
 def law_text(law: LossLaw) -> str:
-    """Return a law in one word, as the option ``--burst`` of a relay reads it."""
+    """Write a loss model as one word, in the format of the relay's option ``--burst``."""
     name = next((name for name in law_names() if _is_of(law, name)), None)
     if name is None:
         raise ProblemError(
-            f"losses follow {type(law).__name__}, which other processes cannot find; expected a law with a name: "
-            f"register the class by an entry point of the group {GROUP}"
+            f"the losses follow the law {type(law).__name__}, which other processes cannot find; expected a "
+            f"registered law: register the class by an entry point of the group {GROUP}"
         )
     values = [getattr(law, field.name) for field in fields(cast("Any", law))]
     return f"{name}:{json.dumps(values, separators=(',', ':'))[1:-1]}"
 
 
 def read_law(name: str, text: str) -> LossLaw:
-    """Return the law that a text describes: its values in their order, after the name of a law and a colon, if
-    given.
-    """
+    """Read a loss model from text such as ``NAME:VALUES``. Text without a name describes the model ``Burst``."""
     stated, colon, values = text.rpartition(":")
     law_name, known = stated if colon else USUAL, law_names()
     try:
@@ -182,7 +180,8 @@ def read_law(name: str, text: str) -> LossLaw:
             raise ProblemError(f"{name} is {text!r}; {error}") from None
     forms = [f"{one}:{','.join(_keys(one))}" for one in ([stated] if stated in known else known)]
     raise ProblemError(
-        f"{name} is {text!r}; expected {' or '.join(forms)}, with a number or a list of numbers in place of each name"
+        f"{name} is {text!r}; expected a text of the form {' or '.join(forms)}, with a number or a list of numbers in "
+        "place of each name"
     )
 
 
@@ -192,7 +191,7 @@ def _keys(law_name: str) -> list[str]:
 
 @dataclass(frozen=True, repr=False)
 class Burst(LossLaw):
-    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
+    """Gilbert–Elliott losses: the link has a good and a bad state, and begins in their stationary distribution.
 
     Args:
         to_bad: probability per step of a transition from good to bad, in [0, 1].
@@ -218,29 +217,29 @@ class Burst(LossLaw):
 
     @property
     def turns(self) -> Array:
-        """Transition probabilities between good and bad, (2, 2)."""
+        """Transition probabilities between good and bad state, (2, 2)."""
         return np.array([[1 - self.to_bad, self.to_bad], [self.to_good, 1 - self.to_good]])
 
     @property
     def losses(self) -> Array:
-        """Loss probability in the good and in the bad state, (2,)."""
+        """Probability that a packet is dropped in the good and in the bad state, (2,)."""
         return np.array([self.loss_good, self.loss_bad])
 
     @cached_property
     def start(self) -> Array:
-        """Stationary distribution of the state, (2,)."""
+        """Stationary distribution of good and bad state, (2,)."""
         return np.array([1 - self.share_bad, self.share_bad])
 
     @property
     def share_bad(self) -> float:
-        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
+        """Stationary probability of the bad state. It is 0 if the link always stays in its initial, good state."""
         turns = self.to_bad + self.to_good
         return 0.0 if turns == 0 else self.to_bad / turns
 
 
 @dataclass(frozen=True, repr=False)
 class Chain(LossLaw):
-    """Losses of a link with any states, such as the levels of a fading channel or the phases of a periodic jammer."""
+    """Losses of a link with several channel states, such as levels of fading or phases of a periodic jammer."""
 
     drops: Sequence[float]  # loss probability in each state, in [0, 1]
     moves: Sequence[Sequence[float]]  # probabilities per step of a transition from each state
@@ -250,19 +249,21 @@ class Chain(LossLaw):
         object.__setattr__(self, "drops", tuple(number("drops", one, 0.0, 1.0, closed=True) for one in self.drops))
         if any(len(row) != len(self.moves) for row in self.moves):
             lengths = ", ".join(str(len(row)) for row in self.moves)
-            raise ProblemError(f"moves has rows of {lengths} numbers; expected {len(self.moves)} in each")
+            raise ProblemError(
+                f"the rows of 'moves' have {lengths} numbers; expected {len(self.moves)} numbers in each row"
+            )
         moves = tuple(tuple(number("moves", one, 0.0, 1.0, closed=True) for one in row) for row in self.moves)
         object.__setattr__(self, "moves", moves)
         self.check()
 
     @property
     def turns(self) -> Array:
-        """Transition probabilities between the states, (s, s)."""
+        """Transition probabilities between the channel states, (s, s)."""
         return np.array(self.moves)
 
     @property
     def losses(self) -> Array:
-        """Loss probability in each state, (s,)."""
+        """Probability that a packet is dropped, in each channel state, (s,)."""
         return np.array(self.drops)
 
 

@@ -1,4 +1,4 @@
-"""The network of a control loop as a graph: nodes that measure, control or apply inputs, and the links between them.
+"""The network of a control loop: nodes that measure, control or apply inputs, and the links between them.
 
 One node controls. Every other node sends its measurements to it, or receives inputs from it, over a link that has the
 name of the node; a node at the controller's place (``site``) needs none. This graph is the only form of a network.
@@ -26,7 +26,7 @@ import numpy as np
 
 from taciturn._arrays import Array, count, flag, instance, quoted
 from taciturn._display import Displayed
-from taciturn._text import percent
+from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
 from taciturn.model.key import stated_as
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
@@ -39,11 +39,12 @@ from taciturn.model.wire import PLANT, Encoding, EncodingName
 RoleName = Literal["measures", "applies"]
 Entries = bool | tuple[int, ...]
 ENTRIES: Mapping[str, str] = {"measures": "outputs", "applies": "inputs"}
+SHOWN = 3  # consecutive symbols that are named one by one
 
 
 @dataclass(frozen=True, repr=False)
 class NodeRole(Displayed):
-    """The role of a node: it measures outputs of the plant, applies inputs, or controls.
+    """Role of a node: it measures outputs of the plant, applies inputs, or controls.
 
     Args:
         measures: indices of the outputs that the node measures; True for all outputs, False for none.
@@ -78,32 +79,46 @@ class NodeRole(Displayed):
                 )
             listed = tuple(whole)
             if len(set(listed)) < len(listed):
-                raise ProblemError(f"{name} is {list(listed)}; expected each index once")
+                raise ProblemError(f"{name} is {list(listed)}; expected a list that contains each index only once")
             object.__setattr__(self, name, listed or False)
         object.__setattr__(self, "controls", flag("controls", self.controls))
         if self.site is not None and not isinstance(cast("object", self.site), str):
             raise ProblemError(f"site is {quoted(self.site)}; expected the name of a node")
         if not (self.measures or self.applies or self.controls):
-            raise ProblemError("it neither measures, applies nor controls; expected measures, applies or controls")
+            raise ProblemError(
+                "the node neither measures, applies nor controls; expected at least one of the keys measures, "
+                "applies and controls"
+            )
 
     def entries(self, role: RoleName, size: int) -> tuple[int, ...]:
-        """Return the indices of the outputs or inputs, of which the plant has ``size``."""
+        """Return the indices of the outputs or inputs of this node, if the plant has ``size`` of them."""
         given: Entries = getattr(self, role)
         return (tuple(range(size)) if given else ()) if isinstance(given, bool) else given
 
     def text(self, outputs: int, inputs: int) -> str:
-        """Return the role with the indices of outputs and inputs, of a plant that has so many of them."""
+        """Describe what the node does with numbered symbols, such as "measures y1, y2"."""
         parts = ["controls"] if self.controls else []
-        both: tuple[tuple[RoleName, int], ...] = (("measures", outputs), ("applies", inputs))
-        for role, size in both:
+        both: tuple[tuple[RoleName, str, int], ...] = (("measures", "y", outputs), ("applies", "u", inputs))
+        for role, letter, size in both:
             found = self.entries(role, size)
-            noun = ENTRIES[role].removesuffix("s") if len(found) == 1 else ENTRIES[role]
-            parts += [f"{role} {noun} {', '.join(map(str, found))}"] if found else []
+            parts += [f"{role} {symbols_text(letter, entry_numbers(found, size))}"] if found else []
         return "; ".join(parts) + ("" if self.site is None else f"; at the place of {self.site}")
 
     def short(self) -> str:
-        """Return the role in a few words."""
+        """Describe what the node does in few words, such as "measures"."""
         return ", ".join(name for name in ("measures", "controls", "applies") if getattr(self, name))
+
+
+def entry_numbers(entries: Sequence[int], size: int) -> list[int]:
+    """Number the entries of a vector from 1 on for symbols such as y1. A single entry gets the number 0."""
+    return [i + 1 if size > 1 else 0 for i in entries]
+
+
+def symbols_text(letter: str, numbers: Sequence[int]) -> str:
+    """Write numbered symbols as text, such as "y1, y2" or "u1 to u6". The number 0 is not written."""
+    named = [f"{letter}{number or ''}" for number in numbers]
+    run = len(numbers) > SHOWN and list(numbers) == list(range(numbers[0], numbers[0] + len(numbers)))
+    return f"{named[0]} to {named[-1]}" if run else ", ".join(named)
 
 
 def _whole_numbers(value: object) -> list[int] | None:
@@ -137,7 +152,7 @@ REFERENCE = "reference"  # signal of the set-points that the controller is given
 
 @dataclass(frozen=True, init=False, repr=False)
 class Network(Displayed):
-    """A network: nodes with their roles, and one link for each node that is not at the controller's place.
+    """A network: nodes with their roles, and one link for each node that is not at the controller's site.
 
     A link has the name of its node. A node that measures sends to the controller; a node that applies inputs receives
     from the controller. Without ``nodes``, the network has a sensor, a controller and an actuator, and the other
@@ -202,8 +217,8 @@ class Network(Displayed):
             return
         if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in laws.values()):
             raise ProblemError(
-                "nodes or links are given with a protocol, losses or encodings of a network of three nodes; expected "
-                "these properties in links"
+                "nodes or links are given together with the protocol, losses or encodings of a network of three "
+                "nodes; expected these properties in 'links'"
             )
         for name, given in (("nodes", nodes), ("links", links)):
             if given is not None:
@@ -214,7 +229,7 @@ class Network(Displayed):
         object.__setattr__(self, "links", self._checked_links(links or {}))
 
     def summary(self) -> Mapping[str, object]:
-        """Return the roles of the nodes, the laws of the links, and the delay."""
+        """Return the values to display: the nodes and their roles, the links, and the delay."""
         nodes = ", ".join(f"{name} {role.short()}" for name, role in self.nodes.items())
         return {"links": self.short(), "nodes": nodes, "delay": self.delay}
 
@@ -227,13 +242,15 @@ class Network(Displayed):
             instance(f"nodes.{name}", role, NodeRole)
             if not isinstance(cast("object", name), str) or not re.fullmatch(NAME, name) or name == PLANT:
                 raise ProblemError(
-                    f"nodes.{name} has the name {name!r}; expected at most 32 letters, digits, hyphens and "
-                    f"underscores, with a letter first, and not {PLANT!r}"
+                    f"nodes.{name} has the name {name!r}; expected a name of at most 32 letters, digits, hyphens and "
+                    f"underscores that begins with a letter and is not {PLANT!r}"
                 )
             home = None if role.site is None else self.nodes.get(role.site)
             if role.site is not None and (home is None or home.site is not None or role.site == name):
                 first = [other for other, one in self.nodes.items() if one.site is None]
-                raise ProblemError(f"nodes.{name}.site is {role.site!r}; expected one of {', '.join(first)}")
+                raise ProblemError(
+                    f"nodes.{name}.site is {role.site!r}; expected the name of one of the nodes {', '.join(first)}"
+                )
         controllers = [name for name, role in self.nodes.items() if role.controls]
         if len(controllers) != 1:
             raise ProblemError(
@@ -243,8 +260,8 @@ class Network(Displayed):
         for name in self._remote():
             if self.nodes[name].measures and self.nodes[name].applies:
                 raise ProblemError(
-                    f"nodes.{name} measures and applies, but a link has one direction; expected two nodes, the second "
-                    f'with site = "{name}"'
+                    f"nodes.{name} measures outputs and applies inputs, but a link has one direction; expected two "
+                    f'nodes, the second with site = "{name}"'
                 )
 
     def _checked_links(self, links: Mapping[str, LinkLaw]) -> dict[str, LinkLaw]:
@@ -252,11 +269,13 @@ class Network(Displayed):
         for name, law in links.items():
             instance(f"links.{name}", law, LinkLaw)
             if name not in self.nodes:
-                raise ProblemError(f"links.{name} has no node; expected one of {', '.join(remote)}")
+                raise ProblemError(
+                    f"links.{name} is not the link of a node; expected the name of one of the nodes {', '.join(remote)}"
+                )
             if name not in remote:
                 raise ProblemError(
-                    f"links.{name} is given, but {name} is at the controller's place; expected no link: remove it, or "
-                    f"remove nodes.{name}.site"
+                    f"links.{name} is given, but the node {name!r} is at the controller's site; expected no such "
+                    f"link: remove links.{name}, or remove nodes.{name}.site"
                 )
         return {name: links.get(name, IDEAL_LINK) for name in remote}
 
@@ -265,22 +284,22 @@ class Network(Displayed):
 
     @property
     def controller(self) -> str:
-        """The name of the node that controls."""
+        """Name of the node that controls."""
         return next(name for name, role in self.nodes.items() if role.controls)
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The names of the nodes that measure."""
+        """Names of the nodes that measure outputs of the plant."""
         return tuple(name for name, role in self.nodes.items() if role.measures)
 
     @property
     def actuators(self) -> tuple[str, ...]:
-        """The names of the nodes that apply inputs."""
+        """Names of the nodes that apply inputs."""
         return tuple(name for name, role in self.nodes.items() if role.applies)
 
     @property
     def sites(self) -> tuple[frozenset[str], ...]:
-        """The groups of nodes that share a place."""
+        """Groups of two or more nodes at the same site."""
         groups: dict[str, list[str]] = {}
         for name in self.nodes:
             groups.setdefault(self.place(name), []).append(name)
@@ -288,35 +307,35 @@ class Network(Displayed):
 
     @property
     def sites_of_controller(self) -> tuple[frozenset[str], ...]:
-        """The group of nodes at the controller's place, as the only one, or no group if the controller is alone."""
+        """The group of nodes at the controller's site, in a tuple; an empty tuple if the controller is alone there."""
         return tuple(group for group in self.sites if self.controller in group)
 
     @property
     def own_nodes(self) -> bool:
-        """True if the network states nodes; the usual ones may be placed together by a policy kind."""
+        """True if the user has defined the nodes. If false, a policy kind may move a default node to the controller."""
         return self.nodes != USUAL
 
     def beside(self, node: str) -> Network:
-        """Return the network in which one of the usual nodes is at the controller's place; other nodes stay."""
+        """Move a default node to the controller's site. A network with nodes that the user defined stays as it is."""
         if self.own_nodes:
             return self
         nodes = {**self.nodes, node: replace(self.nodes[node], site=self.controller)}
         return replace(self, nodes=nodes, links={name: law for name, law in self.links.items() if name != node})
 
     def place(self, node: str) -> str:
-        """Return the node that names the place of a node."""
+        """Return the node that identifies the site of the given node."""
         return self.nodes[node].site or node
 
     def sender(self, link: str) -> str:
-        """Return the node that sends on a link."""
+        """Return the node that sends packets on a link."""
         return link if self.nodes[link].measures else self.controller
 
     def receiver(self, link: str) -> str:
-        """Return the node that receives the packets of a link."""
+        """Return the node that receives packets on a link."""
         return self.controller if self.nodes[link].measures else link
 
     def measurements(self, outputs: int, given: int = 0) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """Return the node and the outputs of each measured signal by name.
+        """Return each measured signal by name, with its node and the indices of the outputs that it contains.
 
         The signal is ``y`` if one node measures all outputs in their order, and ``y_NODE`` otherwise. The set-points
         ``reference`` follow, which the controller is given.
@@ -329,7 +348,7 @@ class Network(Displayed):
         return {**found, **last}
 
     def applications(self, inputs: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """Return the node and the inputs of each applied signal by name: ``input``, or ``input_NODE``.
+        """Return each applied signal, ``input`` or ``input_NODE``, with its node and the indices of its inputs.
 
         Raises:
             ProblemError: an input is applied by no node or by several nodes.
@@ -341,15 +360,15 @@ class Network(Displayed):
         for name, listed in held.items():
             if max(listed, default=0) >= size:
                 raise ProblemError(
-                    f"nodes.{name}.{role} contains the index {max(listed)}; expected indices below {size}, the "
-                    f"{entry}s of the plant"
+                    f"nodes.{name}.{role} contains the index {max(listed)}; expected indices below {size}, the number "
+                    f"of {entry}s of the plant"
                 )
         for index in range(size):
             by = [name for name, listed in held.items() if index in listed]
             if len(by) != 1:
                 raise ProblemError(
-                    f"{entry} {index} of the plant belongs to {' and '.join(by) or 'no node'}; expected one node that "
-                    f"{role} it"
+                    f"the plant's {entry} with the index {index} belongs to {' and '.join(by) or 'no node'}; expected "
+                    f"exactly one node that {role} it"
                 )
         if any(listed == tuple(range(size)) for listed in held.values()):
             return {signal: next(iter(held.items()))}
@@ -357,23 +376,23 @@ class Network(Displayed):
 
     @property
     def protocol(self) -> str:
-        """The protocol of all links, or those of the links in their order: ``"udp"``, ``"tcp"`` or ``"ideal"``."""
+        """Protocol of all links, ``"udp"``, ``"tcp"`` or ``"ideal"``; if the links differ, the protocol of each."""
         found = [law.protocol for law in self.links.values()]
         return found[0] if len(set(found)) == 1 else ", ".join(found) or "ideal"
 
     @property
     def payload(self) -> str:
-        """The encoding of the numbers on all links, or those of the links in their order."""
+        """Encoding of the numbers in the packets of all links; if the links differ, the encoding of each."""
         found = [law.payload for law in self.links.values()]
         return found[0] if len(set(found)) == 1 else ", ".join(found) or "float64"
 
     @property
     def ideal(self) -> bool:
-        """True if every packet arrives."""
+        """True if every link delivers every packet."""
         return all(law.ideal for law in self.links.values())
 
     def short(self) -> str:
-        """Return the losses, acknowledgements, delay and encodings of the links as text."""
+        """Describe the losses, acknowledgements, delay and encodings of the links in a few words."""
         protocols = {law.protocol for law in self.links.values()}
         if protocols <= {"ideal"}:
             text = "ideal: every packet arrives"
@@ -388,32 +407,32 @@ class Network(Displayed):
             else:
                 text = ", ".join(f"{lost}{TOLD[self.links[link].protocol]}" for link, lost in losses.items())
         if self.delay:
-            text += f"; {self.delay} step{'s' * (self.delay > 1)} of delay"
+            text += f"; {number_of(self.delay, 'step')} of delay"
         return text + (f"; numbers as {self.payload}" if self.rounded else "")
 
     def key(self, link: str, name: str) -> str:
-        """Return the key of a problem file that states a property of a link."""
+        """Return the key of problem files that states a property of a link."""
         return self.stated.get((link, name), f"links.{link}.{name}")
 
     def lost(self, link: str) -> str:
-        """Return the key of a problem file that states the losses of a link."""
+        """Return the key of problem files that states the losses of a link."""
         return self.key(link, "loss" if self.burst(link) is None else "burst")
 
     def unusual(self, link: str, *names: str) -> list[str]:
-        """Return the keys of some properties of a link that differ from those of an ideal link."""
+        """Return the keys of those named properties of a link that an ideal link does not have."""
         law = self.links[link]
         return [self.key(link, name) for name in names if getattr(law, name) != getattr(IDEAL_LINK, name)]
 
     @property
     def losing(self) -> str | None:
-        """The first key by which the delivery of packets differs from that of ideal links."""
+        """The first key that states losses, acknowledgements or a delay; None if all links are ideal."""
         lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
         told = [key for link in self.links for key in self.unusual(link, "acknowledged")]
         found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
         return found[0] if found else None
 
     def encoding(self, link: str) -> Encoding:
-        """Return the encoding of the payloads of a link.
+        """Return how the numbers in the packets of a link are encoded.
 
         Raises:
             ProblemError: if the payload is ``"int16"`` and the link has no range.
@@ -427,24 +446,24 @@ class Network(Displayed):
         return Encoding(law.payload, law.range or ())
 
     def burst(self, link: str) -> LossLaw | None:
-        """Return the law of bursty losses of a link, or None if its loss probability is constant."""
+        """Return the model of a link's bursty losses; None if its losses are not bursty."""
         return self.links[link].burst
 
     def loss(self, link: str) -> float:
-        """Return the loss probability of a link; for bursty losses, the stationary loss probability."""
+        """Return the loss probability of a link. If losses are bursty, it is that of the stationary distribution."""
         return self.links[link].mean_loss
 
     def acknowledges(self, link: str) -> bool:
-        """Return whether the sender learns whether each packet of the link arrives, for a link that drops packets."""
+        """Return whether a link drops packets, and its sender receives acknowledgements of those that arrive."""
         return self.links[link].acknowledged is True
 
     def outage(self, link: str) -> float:
-        """Return the long-run probability that a link drops a packet, given that it has dropped all packets before."""
+        """Return the probability that a link drops the next packet, in the limit of a long run of dropped packets."""
         turns, losses = self.chain(link)
         return float(np.abs(np.linalg.eigvals(turns * losses)).max())
 
     def chain(self, link: str) -> tuple[Array, Array]:
-        """Return the transition probabilities between the states of a link, (s, s), and the loss in each state, (s,).
+        """Return the transition matrix of a link's channel state, (s, s), and the loss probability in each state, (s,).
 
         A link with a constant loss probability has one state.
         """
@@ -452,42 +471,42 @@ class Network(Displayed):
         return (np.ones((1, 1)), np.array([self.loss(link)])) if burst is None else (burst.turns, burst.losses)
 
     def with_laws(self, changes: Mapping[str, Any]) -> Network:
-        """Return the network with changed properties of every link, such as ``loss`` or ``payload``."""
+        """Return a copy of the network with changed properties of all links, such as ``loss`` or ``payload``."""
         return self.changed(dict.fromkeys(self.links, changes))
 
     def changed(self, laws: Mapping[str, Mapping[str, Any]]) -> Network:
-        """Return the network with changed properties of some links, by link and property."""
+        """Return a copy of the network with changed properties of some links, by link and property."""
         links = {name: replace(law, **laws.get(name, {})) for name, law in self.links.items()}
         return replace(self, links=links)
 
     def without_bursts(self) -> Network:
-        """Return the network with independent losses of the same mean probability on each link."""
+        """Return a copy of the network whose losses are independent instead of bursty, with the same mean."""
         bursty = {name: law for name, law in self.links.items() if law.burst is not None}
         return self.changed({name: {"loss": law.mean_loss, "burst": None} for name, law in bursty.items()})
 
     @property
     def rounded(self) -> bool:
-        """True if the packets of a link contain rounded numbers."""
+        """True if a link rounds the numbers in its packets."""
         return any(law.payload != "float64" for law in self.links.values())
 
     @property
     def limited(self) -> bool:
-        """True if a link limits the intervals between its sends."""
+        """True if a link has limits on the number of steps between sends."""
         return any(law.intervals != IDEAL_LINK.intervals for law in self.links.values())
 
     @property
     def unlimited(self) -> Network:
-        """The network without limits on the intervals between sends."""
+        """A copy of the network without limits on the number of steps between sends."""
         return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
 
     @property
     def delivery(self) -> Network:
-        """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
+        """A copy of the network with losses and delay only: no rounding, prices, energies or limits on intervals."""
         usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
         return self.with_laws(usual | IDEAL_LINK.intervals)
 
     def with_intervals(self, other: Network) -> Network:
-        """Return the network with another network's limits on the intervals between sends."""
+        """Return a copy of this network with the limits on send intervals of another network."""
         changed = {
             name: other.links[name].intervals
             for name, law in self.links.items()

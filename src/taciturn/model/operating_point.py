@@ -1,4 +1,4 @@
-"""Operating points: the state and the input of a plant at which it rests, and from which a design counts deviations.
+"""Operating points: equilibria of a plant, from which a design measures deviations.
 
 With the operating point x₀, u₀, a linear plant is x⁺ − x₀ = A (x − x₀) + B (u − u₀) + w, and y = C x + v. A plant
 stores the mean of its initial state, its limits and its function in deviations from the point.
@@ -19,7 +19,7 @@ from taciturn.model.key import stated_as
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OperatingPoint(Displayed):
-    """The state and the input at which a plant rests without noise, in the units of the plant.
+    """An equilibrium of a plant without noise: its state and input, in the units of the plant.
 
     Args:
         x: state x₀, (n,).
@@ -47,13 +47,13 @@ class OperatingPoint(Displayed):
         return f"x = [{x}], u = [{u}]"
 
     def same_as(self, other: OperatingPoint) -> bool:
-        """Return whether the other point has the same state and input."""
+        """Return whether the other operating point has the same state and input."""
         return np.array_equal(self.x, other.x) and np.array_equal(self.u, other.u)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MovedDynamics(Displayed):
-    """A step function in other coordinates: x, u, w → f(x + x₀, u + u₀, w) − rest."""
+    """A step function in shifted coordinates: (x, u, w) → f(x + x₀, u + u₀, w) − rest."""
 
     dynamics: Dynamics  # f, in the units of the plant
     x: Array  # x₀, (n,)
@@ -67,7 +67,7 @@ class MovedDynamics(Displayed):
 
     @staticmethod
     def of(function: Dynamics, x: Array, u: Array, to: Array) -> Dynamics:
-        """Return a function in coordinates moved by x and u, without an earlier move if both cancel."""
+        """Shift the coordinates of a step function by x and u. Two shifts that cancel each other are removed."""
         inner, rest = function, to
         if isinstance(function.function, MovedDynamics):
             moved = function.function

@@ -1,4 +1,4 @@
-"""The packets that the nodes of a policy exchange, and the fingerprint that identifies a policy.
+"""The packets that the nodes of a policy exchange, and the fingerprint by which nodes recognise their policy.
 
 Nodes at one site run in one process, whose role is the name of one of them: the controller, if it is there, and
 otherwise the first. Within a step, the processes of sensors run first, then that of the controller, then those of
@@ -36,7 +36,7 @@ DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which d
 
 
 class PlantLink(NamedTuple):
-    """The packets between the plant and a process: the outputs in a measurement, and the inputs in an input."""
+    """A link between the plant and the processes of the nodes, which carries measured outputs and inputs to apply."""
 
     measures: str | None  # role of the process that receives the measurements, if any
     applies: str | None  # role of the process that sends the inputs, if any
@@ -45,17 +45,17 @@ class PlantLink(NamedTuple):
 
 
 def place_of(policy: Policy, role: str) -> frozenset[str]:
-    """Return the roles that are at the same site as the given role."""
+    """Return the nodes that run in one process, which are all at the same site."""
     names = roles(policy)
     if role not in names:
         site = policy.site(role)
         at = f"at the site of the controller in {policy.kind}" if len(site) > 1 else "not a role"
-        raise ProblemError(f"the node is {role!r}, which is {at}; expected one of {', '.join(names)}")
+        raise ProblemError(f"the node is {role!r}, which is {at}; expected one of the nodes {', '.join(names)}")
     return policy.site(role)
 
 
 def roles(policy: Policy) -> tuple[str, ...]:
-    """Return the nodes that run as separate processes, one for each site, in the order of a step.
+    """Return the roles of the processes, in the order of a step. One process runs all nodes of a site.
 
     Sensors come first, then the controller, then actuators.
     """
@@ -70,18 +70,18 @@ def roles(policy: Policy) -> tuple[str, ...]:
 
 
 def outputs_at(policy: Policy, role: str) -> list[int]:
-    """Return the outputs of the plant that a process measures, in the order of its measurement."""
+    """Return the outputs of the plant that a process measures, in their order in a measurement."""
     site, measured = policy.site(role), policy.measured.items()
     return [i for signal, (node, outputs) in measured if signal != REFERENCE and node in site for i in outputs]
 
 
 def inputs_at(policy: Policy, role: str) -> list[int]:
-    """Return the inputs of the plant that a process applies, in the order of its input."""
+    """Return the inputs of the plant that a process applies, in their order in a packet."""
     return [i for node, inputs in policy.applied.values() if node in policy.site(role) for i in inputs]
 
 
 def plant_links(policy: Policy) -> dict[str, PlantLink]:
-    """Return the links between the plant and the processes by name.
+    """Return the links between the plant and the processes of the nodes, by name.
 
     The link is called ``plant`` if one process measures and one process applies the inputs. Otherwise each of these
     processes has its own link, ``plant/ROLE``. The link ``setpoint`` gives the controller set-points that change.
@@ -107,19 +107,19 @@ def plant_links(policy: Policy) -> dict[str, PlantLink]:
 
 
 def plant_link(policy: Policy, role: str) -> str | None:
-    """Return the link between the plant and a process, or None if the process neither measures nor applies inputs."""
+    """Return the link between the plant and a process; None if the process neither measures nor applies inputs."""
     links = [(link, ends) for link, ends in plant_links(policy).items() if link != SETPOINT]
     return next((link for link, ends in links if role in (ends.measures, ends.applies)), None)
 
 
 def wire_links(policy: Policy) -> tuple[str, ...]:
-    """Return the links of a policy and its plant; a packet contains the index of its link."""
+    """Return all links of a policy and of its plant, in the order of the numbers by which packets name them."""
     links = tuple(policy.network.links)
     return tuple(dict.fromkeys((*links[:2], PLANT, *links[2:], *plant_links(policy))))
 
 
 def links_to(policy: Policy, role: str) -> tuple[str, ...]:
-    """Return the links on which a node receives data."""
+    """Return the links on which a process receives packets."""
     site = place_of(policy, role)
     return tuple(
         step.link for step in policy.steps if isinstance(step, Send) and policy.network.receiver(step.link) in site
@@ -132,17 +132,17 @@ def role_at(policy: Policy, node: str) -> str:
 
 
 def sender_of(policy: Policy, link: str) -> str:
-    """Return the role of the process that sends data on a link."""
+    """Return the role of the process that sends packets on a link."""
     return role_at(policy, next(step.at for step in policy.steps if isinstance(step, Send) and step.link == link))
 
 
 def receiver_of(policy: Policy, link: str) -> str:
-    """Return the role of the process that receives data on a link."""
+    """Return the role of the process that receives packets on a link."""
     return role_at(policy, policy.network.receiver(link))
 
 
 def peers_of(policy: Policy, role: str) -> dict[str, str]:
-    """Return the process at the other end of each link on which a process sends data or acknowledgements."""
+    """Return, for each link on which this process sends packets or acknowledgements, the process at its other end."""
     found: dict[str, str] = {}
     for link in dict.fromkeys(step.link for step in policy.steps if isinstance(step, Send)):
         ends = sender_of(policy, link), receiver_of(policy, link)
@@ -152,14 +152,14 @@ def peers_of(policy: Policy, role: str) -> dict[str, str]:
 
 
 def is_acknowledged(policy: Policy, link: str) -> bool:
-    """Return whether a policy uses the acknowledgements of a link."""
+    """Return whether the policy uses acknowledgements of the packets on a link."""
     conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     conditions += [place.on for place in policy.locations]
     return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)
 
 
 def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
-    """Return the encoding and the number of entries of the payload of each packet, by kind and link."""
+    """Return, for each link and kind of packet, the encoding and the number of entries of the payload."""
     exact, shapes = Encoding(), dict[tuple[PacketKind, str], tuple[Encoding, int]]()
     for step in policy.steps:
         if isinstance(step, Send):
@@ -178,7 +178,7 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
-    """Return the signals in the packets of a link that are not otherwise available to the receiver."""
+    """Return the signals in the packets of a link that the receiver obtains only from these packets."""
     receiver = policy.network.receiver(link)
     homes = {name: step.at for step in policy.steps for name in assigned(step)} | {ONE: receiver}
     homes |= {signal: node for signal, (node, _) in policy.measured.items()}
@@ -187,7 +187,7 @@ def told_by(policy: Policy, link: str) -> tuple[str, ...]:
 
 
 def fingerprint(policy: Policy, network: Network) -> int:
-    """Return a 64-bit fingerprint of a policy's steps, locations and initial values, with six digits of each matrix.
+    """Return a 64-bit digest of a policy's steps, locations and initial values, with six digits of each matrix entry.
 
     Two machines whose linear algebra rounds differently compute the same fingerprint. A function is identified by its
     values at a few points, not by its source code.
@@ -222,8 +222,8 @@ def _sampled(policy: Policy, step: Apply) -> object:
                 returned = step.function(*np.split(values, np.cumsum(sizes)[:-1]))
         except Exception as error:
             raise ProblemError(
-                f"the function of {', '.join(step.signals)} fails: {type(error).__name__}: {error}; expected a "
-                f"function of the vectors {', '.join(step.reads)}"
+                f"the function that computes {', '.join(step.signals)} fails: {type(error).__name__}: {error}; "
+                f"expected a function of the vectors {', '.join(step.reads)}"
             ) from error
         listed = cast("Iterable[Any]", (returned,) if len(step.signals) == 1 else returned)
         found += [np.nan_to_num(np.asarray(one, dtype=np.float64)) for one in listed]

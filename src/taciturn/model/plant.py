@@ -1,4 +1,4 @@
-"""Linear plants with noise, in discrete or in continuous time, validated at construction.
+"""Linear and nonlinear plants with noise, in discrete or continuous time, whose data are checked.
 
     x⁺ = A x + B u + w,   or   dx = (A x + B u) dt + noise,   y = C x + v.
 
@@ -40,7 +40,7 @@ from taciturn._arrays import (
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, factor, mode_text, root, symmetric_factor
 from taciturn._rational import FEWEST, Limit, is_semidefinite, nearest, rational, unmoved
-from taciturn._text import Lines
+from taciturn._text import Lines, number_of
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
@@ -51,14 +51,14 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 
 class Inverse(NamedTuple):
-    """E⁻¹ as a matrix of whole numbers times a rational number, whose products need no common divisors."""
+    """The inverse E⁻¹ of a descriptor matrix. It is stored exactly, as an integer matrix times a rational number."""
 
     whole: fmpz_mat
     factor: fmpq
 
     @classmethod
     def of(cls, E: ArrayLike, n: int) -> Inverse:
-        """Return the inverse of a matrix E, (n, n)."""
+        """Compute the inverse of a matrix E, (n, n), without rounding."""
         matrix, below = rational(array("E", E, (n, n), "(states, states)")).numer_denom()
         try:
             one = fmpz_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
@@ -66,20 +66,20 @@ class Inverse(NamedTuple):
         except ZeroDivisionError:
             raise ProblemError(
                 f"E is singular: its rank is {matrix.rank()} for {n} states, so some equations are algebraic, and the "
-                "state could jump with an input; expected a regular E: eliminate the states that the algebraic "
+                "state could jump with an input; expected an invertible E: eliminate the states that the algebraic "
                 "equations determine"
             ) from None
         whole, divisor = found.numer_denom()
         return cls(whole, fmpq(below, divisor))
 
     def times(self, name: str, effect: ArrayLike) -> Array:
-        """Return E⁻¹ times an effect on the equation of E, (n, any), each entry the double nearest to the exact one."""
+        """Multiply a matrix of the descriptor equation from the left by E⁻¹, and round to the nearest doubles."""
         right = array(name, effect, (self.whole.nrows(), None), "(states, any)")
         whole, below = rational(right).numer_denom()
         return _within_range(f"E⁻¹{name}", self.whole * whole, self.factor / below)
 
     def covariance(self, name: str, W: ArrayLike) -> Array:
-        """Return E⁻¹W(E⁻¹)' for the covariance W of something in the equation of E, as ``times`` does."""
+        """Convert the noise covariance W of the descriptor equation to that of the state, E⁻¹W(E⁻¹)'."""
         stated = semidefinite(name, W, self.whole.nrows(), "(states, states)")
         exact = rational(stated)
         if not (is_definite(stated) or is_semidefinite(stated)):  # but for the rounding of its entries
@@ -90,26 +90,26 @@ class Inverse(NamedTuple):
         return _within_range(f"E⁻¹·{name}·E'⁻¹", moved, self.factor * self.factor / below)
 
     def acting(self, exosystem: Exosystem | None) -> Exosystem | None:
-        """Return disturbances that act on the equation of E as disturbances of the state."""
+        """Convert disturbances of the descriptor equation to disturbances of the state."""
         if exosystem is None or not exosystem.E.shape[1]:
             return exosystem
         return replace(exosystem, E=self.times("exosystem.E", exosystem.E))
 
     def shaking(self, jumps: Jumps | None) -> Jumps | None:
-        """Return jumps of the equation of E as jumps of the state."""
+        """Convert Poisson jumps of the descriptor equation to jumps of the state."""
         if jumps is None:
             return None
         instance("jumps", jumps, Jumps)
         if jumps.distribution != "normal":
             raise ProblemError(
-                f"jumps.distribution is {jumps.distribution!r}, and E is given, which mixes the jumps of the "
+                f"jumps.distribution is {jumps.distribution!r}, but E is given, which mixes the jumps of the "
                 "equations; expected 'normal', or A, B and the jumps of a plant without E"
             )
         return replace(jumps, covariance=self.covariance("jumps.covariance", jumps.covariance))
 
 
 def explicit(E: ArrayLike, A: ArrayLike, B: ArrayLike) -> tuple[Inverse, Array, Array]:
-    """Return E⁻¹, E⁻¹A and E⁻¹B."""
+    """Convert a plant with a descriptor matrix E: return E⁻¹, and E⁻¹A and E⁻¹B of the equivalent plant without E."""
     A = square("A", A, "states × states")
     B = array("B", B, (len(A), None), "(states, inputs)")
     inverse = Inverse.of(E, len(A))
@@ -130,7 +130,7 @@ NamedRows = dict[str, str | Array | None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisplayedPlant(Displayed):
-    """The attributes and the keys that plants in discrete and in continuous time share, and their summary."""
+    """Base class of discrete-time and continuous-time plants: the attributes, keys and summary that both have."""
 
     A: Array = field(metadata=stated_as(Rows, note="dynamics, {per}"))
     B: Array = field(metadata=stated_as(Rows, note="effect of the inputs, {per}"))
@@ -171,17 +171,17 @@ class DisplayedPlant(Displayed):
 
     @property
     def saturation(self) -> Saturation | None:
-        """The limits of the inputs and of their changes, or None."""
+        """Limits of the inputs, and of their change per step; None if no input has a limit."""
         return saturation(self.input_limit, self.input_rate)
 
     @property
     def unlimited(self) -> Self:
-        """The plant without limits of its inputs."""
+        """A copy of the plant without limits of its inputs."""
         return self._without("input_limit", "stated_limit", "input_rate")
 
     @property
     def linear(self) -> Self:
-        """The plant of the design: linear, and without limits of its inputs."""
+        """The linear plant without input limits for which policies are designed."""
         return self._without("input_limit", "stated_limit", "input_rate", "function")
 
     def _without(self, *names: str) -> Self:
@@ -189,7 +189,7 @@ class DisplayedPlant(Displayed):
 
     @property
     def rest_outputs(self) -> Array:
-        """The outputs at the operating point, (p,); zeros without a point."""
+        """The outputs at the operating point, (p,). They are zero for a plant without an operating point."""
         point = self.operating_point
         if point is None:
             return np.zeros(len(self.C))
@@ -197,21 +197,21 @@ class DisplayedPlant(Displayed):
 
     @property
     def stated_mean(self) -> Array:
-        """The mean of the initial state in the units of the plant, (n,)."""
+        """Mean of the initial state, (n,), in the units of the plant."""
         return self.mean if self.operating_point is None else self.mean + self.operating_point.x
 
     @property
     def time(self) -> str:
-        """Description of the time base."""
+        """Whether time is continuous or discrete, as text."""
         return "continuous in time"
 
     @property
     def noise(self) -> str | None:
-        """Description of noise that is not Gaussian, or None."""
+        """Description of noise that is not Gaussian; None for Gaussian noise."""
         return None
 
     def summary(self) -> NamedRows:
-        """Return the size, time base, poles, measurement, noise and matrices of the plant by name."""
+        """Return the values to display: size, time base, poles, measurement, noise and matrices."""
         return {
             "size": self.short(),
             "time": self.time,
@@ -232,20 +232,20 @@ class DisplayedPlant(Displayed):
         }
 
     def short(self, inputs: int | None = None) -> str:
-        """Return the numbers of states, inputs and outputs as text; a given number of inputs replaces that of B."""
+        """Describe how many states, inputs and outputs the plant has. ``inputs`` replaces the number of inputs."""
         counts = (self.states, self.inputs if inputs is None else inputs, self.C.shape[0])
         named = zip(counts, ("state", "input", "output"), strict=True)
-        return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in named)
+        return ", ".join(number_of(count, name) for count, name in named)
 
 
 def limits_text(limit: Array) -> str:
-    """Return the limits of the inputs, (m, 2), as text."""
+    """Write the limits of the inputs, (m, 2), as text."""
     sides = (f"±{high:.6g}" if low == -high else f"{low:.6g} to {high:.6g}" for low, high in limit)
     return ", ".join(sides).replace("inf", "∞")
 
 
 def rates_text(rate: Array, continuous: bool) -> str:
-    """Return the largest changes of the inputs, (m,), as text."""
+    """Write the limits of the change of each input per step or second, (m,), as text."""
     listed = ", ".join(f"{value:.6g}" for value in rate).replace("inf", "∞")
     return f"at most {listed} per {'second' if continuous else 'step'}"
 
@@ -264,7 +264,7 @@ def _poles(A: Array, continuous: bool) -> str:
 
 
 def matrix_lines(name: str, value: Matrix) -> Lines:
-    """Return a matrix row by row; special matrices are abbreviated, and only the first matrix of a table is shown."""
+    """Write a matrix as lines of text. Special matrices are abbreviated, and of a table, the first matrix is shown."""
     if isinstance(value, Scheduled):
         first = value.values[0]
         if len(value.values) == 1:
@@ -286,7 +286,7 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
 
 
 def vector_text(values: Array, digits: int = 4) -> str:
-    """Return the entries of a vector in columns of equal width."""
+    """Write the entries of a vector in columns of equal width."""
     if len(values) == 1:
         return f"[{values[0]:.6g}]"
     return f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
@@ -296,7 +296,7 @@ AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
 
 
 def altered(plant: AnyPlant, attributes: Mapping[str, object]) -> AnyPlant:
-    """Return a copy of a plant with other attributes, which are not checked."""
+    """Return a copy of a plant with changed attributes, which are not checked."""
     found = copy(plant)
     set_fields(found, attributes)
     return found
@@ -305,7 +305,7 @@ def altered(plant: AnyPlant, attributes: Mapping[str, object]) -> AnyPlant:
 def counted_from(
     plant: AnyPlant, origin: Plant | ContinuousPlant, moved: Callable[[OperatingPoint], OperatingPoint] | None = None
 ) -> AnyPlant:
-    """Return a plant in deviations from the operating point of the plant that it was made of, in its own states."""
+    """Express a converted plant as deviations from the operating point of the plant that was converted."""
     point = origin.operating_point
     if point is None:
         return plant
@@ -314,7 +314,7 @@ def counted_from(
 
 
 def about(plant: Plant, point: OperatingPoint | None) -> Plant:
-    """Return a plant in deviations from another point; None is the point 0, so that the plant is in its own units.
+    """Express a plant as deviations from another operating point. For None, use the plant's own units.
 
     If the plant does not rest at this point, its ``drift`` is what its state moves by there.
     """
@@ -346,7 +346,7 @@ JumpDistribution = Literal["normal", "uniform", "two-point"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(DisplayedPlant):
-    """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white w ~ N(0, W) and v ~ N(0, V).
+    """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white noise w ~ N(0, W) and v ~ N(0, V).
 
     With E it is the descriptor plant E x⁺ = A x + B u + w with the same state x, and its attributes A, B and W are
     those without E: E⁻¹A, E⁻¹B and E⁻¹W(E⁻¹)', each the double nearest to the exact value.
@@ -424,7 +424,9 @@ class Plant(DisplayedPlant):
         """Validate and store the arguments."""
         if E is not None:
             if function is not None:
-                raise ProblemError("E is given with function, which returns the next state; expected no E: remove it")
+                raise ProblemError(
+                    "E is given together with a function, which returns the next state; expected no E: remove it"
+                )
             inverse, A, B = explicit(E, A, B)
             W, exosystem = inverse.covariance("W", W), inverse.acting(exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
@@ -433,7 +435,7 @@ class Plant(DisplayedPlant):
 
     @property
     def time(self) -> str:
-        """Description of the time base."""
+        """Discrete time with the seconds per step, as text."""
         per = "" if self.dt is None else f", {self.dt:g} s per step"
         return f"discrete in time{per}{'' if self.function is None else ', not linear'}"
 
@@ -444,38 +446,38 @@ class Plant(DisplayedPlant):
 
     @property
     def stated(self) -> int:
-        """Number of states without registers, which hold the inputs of the step before for a direct feedthrough."""
+        """Number of states, without the registers that a direct feedthrough adds to store previous inputs."""
         return self.states - len(self.registers)
 
     @property
     def sensed(self) -> int:
-        """Number of outputs that sensors measure: all without the set-points that the controller is given."""
+        """Number of outputs that sensors measure, without set-points that are outputs too."""
         return self.outputs - self.set_points
 
     @property
     def set_points(self) -> int:
-        """Number of set-points that the controller is given while the loop runs: the last outputs."""
+        """Number of set-points that change while the loop runs. The controller reads them as the last outputs."""
         return 0 if self.changes is None else self.changes.size
 
     @property
     def given(self) -> Array:
-        """Set-points at the start, which the controller is given, (z,)."""
+        """Initial values, (z,), of the set-points that the controller reads."""
         return self.mean[self.states - self.set_points :]
 
     def same_as(self, other: Plant) -> bool:
-        """Return whether the other plant has the same linear dynamics, noise and input limit."""
+        """Return whether the other plant has the same linear dynamics, noise and input limits."""
         start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
         apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
-        """Return whether both plants have equal arrays of this name, or neither plant has such an array."""
+        """Return whether two plants have the same value of an attribute, or both have none."""
         return np.array_equal(*(cast("Any", getattr(one, key, None)) for one in (self, other)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Jumps(Displayed):
-    """Poisson jumps: at each event of a Poisson process with rate λ, a zero-mean random vector is added to the state.
+    """Poisson jumps: at the events of a Poisson process with rate λ, a zero-mean random vector is added to the state.
 
     Args:
         rate: mean number of jumps per second λ, positive.
@@ -511,26 +513,26 @@ class Jumps(Displayed):
 
     @property
     def spread(self) -> Array:
-        """The matrix G of a jump Gξ, (n, ξ), on which the distribution of jumps that are not normal depends."""
+        """Matrix G, (n, ξ), of the jumps Gξ. The entries of ξ are independent, with variance 1."""
         return factor(self.covariance) if self.distribution == "normal" else symmetric_factor(self.covariance)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Displayed):
-    """The model that an actuator integrates between steps: u = L x̂, dx̂/dt = (A + BL) x̂ with A and B of the design."""
+    """The model that an actuator integrates between steps to predict the state: u = L x̂ and dx̂/dt = (A + BL) x̂."""
 
     L: Array  # feedback gain, (inputs, states)
     dynamics: Array  # closed-loop state matrix A + BL, (states, states)
 
     @classmethod
     def of(cls, plant: ContinuousPlant, L: Array) -> Prediction:
-        """Return the prediction by a plant's own model with the gain L."""
+        """Return the model with which an actuator with the feedback gain L predicts the state of a plant."""
         return cls(L, plant.A + plant.B @ L)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JumpNoise(Displayed):
-    """The effect of Poisson jumps on the state within a step: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i."""
+    """The noise due to Poisson jumps w_i at times t_i in a step of τ seconds: Σ_i e^{A(τ−t_i)} w_i."""
 
     A: Array  # state matrix between jumps, per second, (n, n)
     jumps: Jumps  # rate, covariance and distribution of the jumps
@@ -611,7 +613,7 @@ class ContinuousPlant(DisplayedPlant):
 
     @property
     def noise(self) -> str | None:
-        """Description of the jumps, or None."""
+        """Description of the plant's Poisson jumps; None for a plant without jumps."""
         if self.jumps is None:
             return None
         return f"{self.jumps.rate:g} jumps per second, {self.jumps.distribution}, W is rate times covariance"
@@ -630,9 +632,10 @@ def derived_plant(
     function: Dynamics | None = None,
     input_rate: Array | None = None,
 ) -> Plant:
-    """Return a discrete plant that was computed from a checked one, whose modes decide what inputs and outputs reach.
+    """Construct a discrete-time plant from matrices that were computed from a checked plant.
 
-    Rounding, as in sampling, may let a mode that no input moves grow a little.
+    The checked plant decides which modes are controllable and observable: rounding, as in sampling, may let a mode
+    that no input moves grow a little.
     """
     found = object.__new__(Plant)
     _set_linear(found, A, B, C, V, mean, covariance, input_limit, input_rate, None, None)
@@ -710,8 +713,11 @@ def _set_linear(
         "D": D if D is not None and D.any() else None,
     }
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
-        got = f"{exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs"
-        raise ProblemError(f"the exosystem is for {got}; expected {n} and {p}, as in the plant")
+        got = f"{number_of(exosystem.E.shape[0], 'state')} and {number_of(exosystem.G.shape[0], 'output')}"
+        raise ProblemError(
+            f"the model of disturbances and set-points has {got}; expected {number_of(n, 'state')} and "
+            f"{number_of(p, 'output')}, as in the plant"
+        )
     set_fields(plant, values)
     set_fields(plant, {"full_state": np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None})
 
@@ -722,7 +728,7 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
     Marginally stable modes are accepted here; whether they must be controlled depends on cost and noise.
     """
     for A, B, verb, what, remedy in (
-        (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
+        (plant.A, plant.B, "stabilisable", "no input affects", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
         lost = unmoved(A, B, Limit(continuous), rounded=True).growing
@@ -730,12 +736,13 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
             mode = Limit(continuous).named(complex(lost[0]))
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
-                f"{matrices} is not {verb}: {what} the mode at {mode}, which grows; expected a {verb} plant; {remedy}"
+                f"{matrices} is not {verb}: {what} the growing mode with the eigenvalue {mode}; expected a {verb} "
+                f"plant: {remedy}"
             )
 
 
 def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: bool) -> None:
-    """Set the operating point of a new plant, and count its initial mean and its limits from there."""
+    """Set the operating point of a new plant, and express its initial mean and its limits as deviations."""
     set_fields(plant, {"operating_point": point})
     if point is None:
         return
@@ -756,7 +763,7 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
 
 
 def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> Array | None:
-    """Return the limits of the inputs of a plant in deviations from a point, (m, 2), or None.
+    """Return the limits of a plant's inputs as deviations from an operating point, (m, 2); None without limits.
 
     They are computed from the limits in the units of the plant: (limit − u) + u differs from the limit by rounding.
     """

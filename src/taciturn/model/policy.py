@@ -1,4 +1,4 @@
-"""Policies as data: nodes that compute, decide and exchange packets, and the theory that holds for them.
+"""Policies as data: nodes that compute, decide and exchange packets, and the theory that holds for the policy.
 
 A policy lists the policy steps of all nodes within one sampling step, in order. A signal that is read before it is
 assigned has its value of the previous sampling step. Memories and delays are expressed by this order. The signal
@@ -28,11 +28,12 @@ import numpy as np
 
 from taciturn._arrays import Array, array, frozen, instance, number
 from taciturn._display import Displayed
-from taciturn._figure import Size
+from taciturn._figure import Size, StyleName
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import INTERVALS, uncovered
-from taciturn.model.diagram import DRAWN, Diagram, Link, Place
+from taciturn.model.diagram import DRAWN, Diagram, diagram_of
 from taciturn.model.disturbance import Disturbance, Tracking
 from taciturn.model.link import IDEAL_LINK, LONGEST, LinkLaw
 from taciturn.model.network import Network
@@ -41,7 +42,6 @@ from taciturn.model.plant import Plant, Prediction, about
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import (
     ONE,
-    Acknowledged,
     Apply,
     Assign,
     Condition,
@@ -54,14 +54,10 @@ from taciturn.model.steps import (
     Step,
     Terms,
     assigned,
-    condition_of,
     fixed_choices,
     joint_cycle,
-    option_at,
-    placed,
     read,
     site_of,
-    walk,
 )
 from taciturn.model.theory import Guarantee, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
@@ -69,13 +65,14 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
 ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
 HALF = 0.5  # between two counts of steps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Policy(Displayed):
-    """A control policy as data: the policy steps that its nodes execute, in order, within each sampling step.
+    """A control policy as data: the ordered list of policy steps that its nodes execute at each sampling instant.
 
     If the network limits the intervals between sends, the decisions of the policy keep these limits
     (``taciturn.model.policy``).
@@ -130,11 +127,12 @@ class Policy(Displayed):
             for name, size in assigned(step).items():
                 if name == ONE:
                     raise ProblemError(
-                        f"{ONE!r} is assigned, but this name denotes the number 1; expected another name"
+                        f"a policy step assigns {ONE!r}, but this name denotes the number 1; expected another name"
                     )
                 if sizes.setdefault(name, size) != size:
                     raise ProblemError(
-                        f"{name} has {sizes[name]} entries in one step and {size} in another; expected equal sizes"
+                        f"the signal {name} has {sizes[name]} entries in one step and {size} in another; expected "
+                        "equal sizes"
                     )
         object.__setattr__(self, "sizes", sizes)
         initial = {  # + 0.0: a program merges states that start equal, and −0.0 equals 0.0
@@ -162,18 +160,19 @@ class Policy(Displayed):
         for location in self.locations:
             if location.on is not None and location.table.shape[1] != self.outcomes(location.on):
                 raise ProblemError(
-                    f"location {location.name} has {location.table.shape[1]} columns; "
-                    f"expected {self.outcomes(location.on)}, one per outcome of {location.on}"
+                    f"the table of the location {location.name} has {number_of(location.table.shape[1], 'column')}; "
+                    f"expected {number_of(self.outcomes(location.on), 'column')}, one for each outcome of {location.on}"
                 )
         for signal, (node, entries) in self.applied.items():
             if sizes.get(signal) != len(entries):
                 got = f"has {sizes[signal]} entries" if signal in sizes else "is never assigned"
                 raise ProblemError(
-                    f"{signal} {got}; expected a signal with {len(entries)} entries that is assigned at the {node}"
+                    f"the signal {signal} {got}; expected a signal with {len(entries)} entries that is assigned at the "
+                    f"node {node}"
                 )
 
     def summary(self) -> Mapping[str, object]:
-        """Return the kind, cost, guarantee, plant, decisions, links and network of the policy by name."""
+        """Return the values to display: kind, cost, guarantee, plant, decisions, links and network of the policy."""
         proved = self.guarantee
         per = None if self.tick == 1 else f"{self.tick:g} s"
         return {
@@ -182,8 +181,7 @@ class Policy(Displayed):
             "guarantee": None if proved is None else f"at most {proved.cost:.6g}: {proved.statement}",
             "period": per,
             "plant": self.model.short(None if self.prediction is None else len(self.prediction.L)),
-            "decisions": [f"{name}: {' or '.join(one.labels)}" for name, one in self.decisions.items()],
-            "links": [f"{link.name}: {link.packet}, {link.condition}" for link in self.diagram().links],
+            "links": [f"{link.name} {link.rule.sentence}: {link.packet}" for link in self.diagram().links],
             "network": self.network.short(),
             "notes": self.notes,
         }
@@ -194,78 +192,78 @@ class Policy(Displayed):
 
     @property
     def cost(self) -> Cost | None:
-        """The cost for which the policy was designed, or None."""
+        """Cost for which the policy was designed; None if the design states none."""
         return self.theory.cost
 
     @property
     def cost_all_time(self) -> float:
-        """Cost of sending at every step, in the units of the cost.
+        """Cost of sending every sample: an average per step or second, a total over the horizon, or a discounted sum.
 
         Raises:
             ProblemError: the theory of the policy does not contain it.
         """
         if self.theory.cost_all_time is None:
             raise ProblemError(
-                f"the cost of sending every sample is unknown for {self.kind}; expected Theory(cost_all_time=…) in the "
-                "policy"
+                f"the cost of sending every sample is unknown for the policy {self.kind}; expected "
+                "Theory(cost_all_time=…) in the policy"
             )
         return self.theory.cost_all_time
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """The parts that every interpreter of the policy must cover: steps, locations and reference signals."""
+        """All parts of the policy that a program which runs it must support: steps, states and reference signals."""
         return self.steps, self.locations, self.tracking
 
     @property
     def targets(self) -> Mapping[str, str]:
-        """The signals that the state ``x`` and the input ``applied`` are to follow by the cost; empty without any."""
+        """Names of the reference signals for the state ``x`` and the input ``applied``; empty without a reference."""
         return {} if self.tracking is None else {"x": self.tracking.state, "applied": self.tracking.input}
 
     @property
     def designed_for(self) -> tuple[object, ...]:
-        """Plant, network and cost of the design."""
+        """Plant, network and cost of the policy's design."""
         return self.model, self.network, self.theory.cost
 
     @property
     def guarantee(self) -> Guarantee | None:
-        """The proven upper bound on the cost, or None if it is unknown or if the theory does not cover the steps."""
+        """Proven upper bound on the cost; None if there is none, or if a policy step is not covered by the theory."""
         return None if uncovered(self.theory.covers, self.parts) else self.theory.guarantee
 
     @property
     def measured(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """The node and the outputs of each measured signal by name: ``y``, or ``y_NODE``, and ``reference``."""
+        """Each measured signal (``y``, ``y_NODE`` or ``reference``), with its node and the indices of its outputs."""
         return self.network.measurements(self.model.sensed, self.model.set_points)
 
     @property
     def applied(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """The node and the inputs of each applied signal by name: ``input``, or ``input_NODE``."""
+        """Each applied signal (``input`` or ``input_NODE``), with its node and the indices of its inputs."""
         return self.network.applications(self.model.inputs)
 
     @property
     def scheduled(self) -> tuple[str, ...]:
-        """The links on which a decision sends; without decisions, all links."""
+        """Links on which a decision determines when to send; all links if the policy has no such decision."""
         sends = [step for step in self.steps if isinstance(step, Send)]
         return tuple(step.link for step in sends if step.on is not None) or tuple(step.link for step in sends)
 
     def holds(self, link: str) -> bool:
-        """Return whether the receiver of a link keeps the last received value in silence."""
+        """Return whether the receiver of a link uses the last received value as long as no new packet arrives."""
         received = [step for step in self.steps if isinstance(step, Assign) and step.on == Received(link)]
         kept = [step.branches[0].get(step.signal) for step in received if len(step.branches[0]) == 1]
         return any(own is not None and _is_identity(own) for own in kept)
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:
-        """The trigger of each decision by name."""
+        """The trigger of each decision, by the decision's name."""
         return {step.decision: step.trigger for step in self.steps if isinstance(step, Decide)}
 
     @property
     def cycle(self) -> int:
-        """Number of steps after which all locations that are independent of data, such as step counters, repeat."""
+        """Number of steps after which all discrete states that do not depend on data, such as step counters, repeat."""
         return joint_cycle(self.locations, self.decisions)
 
     @cached_property
     def in_units(self) -> Policy:
-        """The policy in the units of the plant, as nodes carry it out.
+        """The policy in the units of the plant, in which nodes run it, instead of in deviations.
 
         The steps of a policy compute deviations from the operating point of its model. Here measurements, inputs,
         estimates and their copies, also in packets, include the point.
@@ -273,37 +271,39 @@ class Policy(Displayed):
         return in_units(self)
 
     def outcomes(self, condition: Condition) -> int:
-        """Return the number of outcomes of a condition."""
+        """Return how many outcomes a condition can have."""
         if not isinstance(condition, str):
             return 2
         if condition not in self.decisions:
-            raise ProblemError(f"the condition {condition!r} is not a decision; expected one of {list(self.decisions)}")
+            raise ProblemError(
+                f"the condition {condition!r} is not a decision; expected one of the decisions {list(self.decisions)}"
+            )
         return len(self.decisions[condition].labels)
 
     def site(self, node: str) -> frozenset[str]:
-        """Return the nodes at the same site as this node."""
+        """Return all nodes at the site of the given node."""
         return site_of(node, self.sites)
 
     def diagram(self) -> Diagram:
-        """Return the nodes and links of the policy as a diagram that can be printed or plotted.
+        """Return a diagram of the policy's nodes and links, to print or to plot.
 
         Example:
             >>> from taciturn import load
             >>> [link.packet for link in load("rover").design().diagram().links]
-            ['command (1)', 'y (1)']
+            ['input u', 'measurement y']
         """
         DRAWN.check(self.parts, self.designed_for)
-        sites = dict.fromkeys(self.site(node) for node in self.network.nodes)
-        sends = [step for step in self.steps if isinstance(step, Send)]
-        return Diagram(tuple(_place(self, site) for site in sites), tuple(_link(self, step) for step in sends))
+        return diagram_of(self)
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of the nodes and of the packets that they exchange within a step."""
-        return self.diagram().plot(ax, figsize)
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Draw the nodes of the policy and the packets that they exchange within a step."""
+        return self.diagram().plot(ax, figsize, style)
 
     def _size(self, name: str) -> int:
         if name not in self.sizes:
-            raise ProblemError(f"the signal {name!r} is never assigned; expected one of {sorted(self.sizes)}")
+            raise ProblemError(
+                f"the signal {name!r} is never assigned; expected one of the signals {sorted(self.sizes)}"
+            )
         return self.sizes[name]
 
     def _check(self, step: Step) -> None:
@@ -311,8 +311,8 @@ class Policy(Displayed):
             found = len(step.branches if isinstance(step, Assign) else step.forms)
             if found != self.outcomes(step.on):
                 raise ProblemError(
-                    f"{step.signal} has {found} branches; "
-                    f"expected {self.outcomes(step.on)}, one per outcome of {step.on}"
+                    f"the step that computes {step.signal} has {found} branches; expected {self.outcomes(step.on)} "
+                    f"branches, one for each outcome of {step.on}"
                 )
         if isinstance(step, Assign):
             for terms in step.branches:
@@ -322,8 +322,8 @@ class Policy(Displayed):
                     if columns != self._size(name):
                         hint = ". Did you pass its transpose?" if rows == self._size(name) else ""
                         raise ProblemError(
-                            f"the weight of {name} in {step.signal} has shape {(rows, columns)}; "
-                            f"expected {self._size(name)} columns, the entries of {name}{hint}"
+                            f"the weight of {name} in {step.signal} has shape {(rows, columns)}; expected "
+                            f"{self._size(name)} columns, one for each entry of {name}{hint}"
                         )
         elif isinstance(step, Evaluate):
             for form in step.forms:
@@ -356,19 +356,29 @@ class Policy(Displayed):
         self._check_schedule(form.constant)
         size = sum(self._size(name) for name in form.signals)
         if form.Psi is not None and shape_of(form.Psi) != (size, size):
-            raise ProblemError(f"Psi for {form.signals} has shape {shape_of(form.Psi)}; expected {(size, size)}")
+            raise ProblemError(
+                f"the matrix Psi for the signals {form.signals} has shape {shape_of(form.Psi)}; expected the shape "
+                f"{(size, size)}"
+            )
         if form.bell is not None and len(form.bell.Pi) != size:
-            raise ProblemError(f"Pi for {form.signals} has shape {form.bell.Pi.shape}; expected {(size, size)}")
+            raise ProblemError(
+                f"the matrix Pi for the signals {form.signals} has shape {form.bell.Pi.shape}; expected the shape "
+                f"{(size, size)}"
+            )
         for name in form.plus:
             if self._size(name) != 1:
-                raise ProblemError(f"{name} has {self._size(name)} entries; expected a scalar signal")
+                raise ProblemError(f"the signal {name} has {self._size(name)} entries; expected a scalar signal")
 
     def _check_schedule(self, value: object) -> None:
         if not isinstance(value, Scheduled):
             return
         sizes = {location.name: len(location.table) for location in self.locations}
         if sizes.get(value.by) != len(value.values):
-            got = f"it has {sizes[value.by]} states" if value.by in sizes else f"the policy has only {list(sizes)}"
+            got = (
+                f"it has {number_of(sizes[value.by], 'state')}"
+                if value.by in sizes
+                else f"the policy has only {list(sizes)}"
+            )
             raise ProblemError(
                 f"a table has {len(value.values)} entries selected by the location {value.by!r}, but {got}; "
                 "expected one entry per state of the location"
@@ -379,52 +389,23 @@ def _is_identity(matrix: Matrix) -> bool:
     return isinstance(matrix, np.ndarray) and np.array_equal(matrix, np.eye(len(matrix)))
 
 
-def _place(policy: Policy, site: frozenset[str]) -> Place:
-    measures = sum(len(entries) for node, entries in policy.measured.values() if node in site)
-    applies = sum(len(entries) for node, entries in policy.applied.values() if node in site)
-    applied, predicted = (applies, 0) if policy.prediction is None or not applies else policy.prediction.L.shape
-    decisions = [step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site]
-    nodes = tuple(node for node in policy.network.nodes if node in site)
-    return Place(nodes, measures, tuple(decisions), applied, predicted)
-
-
-def _link(policy: Policy, step: Send) -> Link:
-    payload = {name: policy.sizes[name] for name in step.payload}
-    conditions = [*map(condition_of, policy.steps), *(location.on for location in policy.locations)]
-    told = Acknowledged(step.link) in conditions
-    ends = (step.link, step.at, policy.network.receiver(step.link), payload)
-    if step.on is None:
-        return Link(*ends, "always", acknowledged=told)
-    trigger = policy.decisions[step.on]
-    labels = step.sending(trigger.labels)
-    decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
-    weights = [weight for form in trigger.forms for weight in (form.Psi, form.constant)]
-    read_by = {weight.by for weight in weights if isinstance(weight, Scheduled)}
-    tables = [location for location in policy.locations if location.name in read_by]
-    turning = tuple(location.name for location in tables if len(location.table) > 1)
-    if trigger.reads or any(location.on is not None for location in tables):
-        return Link(*ends, "decision", *decided, (*trigger.reads, *turning), acknowledged=told)
-    visited, start = walk(tables, policy.decisions) or ([], 0)
-    pattern = tuple(trigger.labels[option_at(trigger, placed(tables, here))] in labels for here in visited)
-    return Link(*ends, "schedule", *decided, turning, pattern, start, told)
-
-
 def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
-    """Return the plant, the cost and the network that a policy was designed for."""
+    """Return the plant, the cost and the network of a policy's design."""
     if policy.cost is None:
         raise ProblemError(
-            f"{policy.kind} has no cost; expected the cost that it was designed for: theory=Theory(cost=…)"
+            f"the policy {policy.kind} contains no cost; expected a policy with the cost for which it was designed: "
+            "theory=Theory(cost=…)"
         )
     if policy.tick != 1.0 or policy.theory.noise_cost or policy.prediction is not None:
         raise ProblemError(
-            f"{policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which a policy "
-            "does not hold; expected a Problem with this plant and a policy kind"
+            f"the policy {policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which "
+            "a policy does not contain; expected a Problem with this plant and a policy kind"
         )
     return policy.model.alone or policy.model, policy.cost, policy.network
 
 
 def in_units(policy: Policy) -> Policy:
-    """Return a policy in the units of the plant, which nodes carry out; without an operating point, it is the same."""
+    """Convert a policy in deviations to the units of the plant. Without an operating point, the two are equal."""
     point = policy.model.operating_point
     if point is None:
         return policy
@@ -448,6 +429,7 @@ def in_units(policy: Policy) -> Policy:
             settling=theory.settling,
             recovery=theory.recovery,
             sums=sums,
+            silence=theory.silence,
             innovations=told,
             functions=functions,
         ),
@@ -456,12 +438,12 @@ def in_units(policy: Policy) -> Policy:
 
 
 def at_rest(policy: Policy) -> dict[str, Array]:
-    """Return the values of signals at the operating point, of which the steps of a policy compute deviations."""
+    """Return the values of the signals at the operating point, by which plant units exceed deviations."""
     return {} if policy.model.operating_point is None else _moves(policy, policy.model.operating_point)
 
 
 def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
-    """Return what is added to each signal: the point to measurements, inputs and the estimate, and to their copies."""
+    """Return the offset of each signal: the operating point for measurements, inputs, estimate, and their copies."""
     y, sizes = policy.model.C @ point.x, policy.sizes
     found = {name: point.u[[*inputs]] for name, (_, inputs) in policy.applied.items()}
     held = {f"{HELD}_{node}": point.u[[*inputs]] for node, inputs in policy.applied.values()} | {HELD: point.u}
@@ -485,7 +467,7 @@ def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
 
 
 def _moved(step: Step, moves: Mapping[str, Array]) -> tuple[Step, ...]:
-    """Return the steps that compute in the units of the plant what a policy step computes in deviations."""
+    """Return the steps of a policy step in the units of the plant instead of deviations."""
     if isinstance(step, Assign):
         return _moved_sum(step, moves)
     known = [name for name in dict.fromkeys(read(step)) if name in moves]
@@ -564,7 +546,7 @@ def _deviation(name: str) -> str:
 
 
 def with_intervals(policy: Policy, network: Network) -> Policy:
-    """Return a policy whose decisions keep the limits of a network on the intervals between sends."""
+    """Change a policy, so that its decisions respect a network's limits on the number of steps between sends."""
     designed = policy.network
     instance("network", network, Network)
     if network.nodes != designed.nodes or network.with_intervals(designed) is network:
@@ -573,18 +555,18 @@ def with_intervals(policy: Policy, network: Network) -> Policy:
 
 
 def steps_since(link: str) -> str:
-    """Return the name of the signal that counts the steps since the last send on a link."""
+    """Return the name of the signal that counts the steps since a link last sent."""
     return f"steps since a packet on {link}"
 
 
 def longest_silence(network: Network, link: str) -> int | None:
-    """Return the steps after which a packet of a running sender must have arrived; None, as a link may drop it."""
+    """Return the largest number of steps between arrivals; None if it is unlimited, or packets are dropped."""
     law = network.links[link]
     return None if law.mean_loss else law.max_interval
 
 
 def keep_intervals(policy: Policy) -> Mapping[str, Any]:
-    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none."""
+    """Return the changed fields of a policy whose decisions respect a network's limits on send intervals."""
     steps, network = policy.steps, policy.network
     sends = {step.link: step for step in steps if isinstance(step, Send)}
     kept = {step.signal for step in steps if isinstance(step, Assign)}
@@ -619,6 +601,7 @@ def _kept(step: Step, sends: Mapping[str, Send], laws: Mapping[str, LinkLaw]) ->
         label: tuple(form for link in on for form in _forms(link, laws[link], label in sending[link]))
         for label in labels
     }
+    excluded = {label: (*step.trigger.excluded.get(label, ()), *forms) for label, forms in excluded.items()}
     trigger = replace(step.trigger, excluded={label: forms for label, forms in excluded.items() if forms})
     return [replace(step, trigger=trigger), *(_count(step, link, sending[link]) for link in on)]
 
@@ -649,8 +632,9 @@ def _expect_sets(step: Decide, sending: Mapping[str, Sequence[str]]) -> None:
     if missing:
         named = " and ".join(link for link, sends in zip(sending, missing[0], strict=True) if sends) or "no link"
         raise ProblemError(
-            f"the decision {step.decision!r} has no label that sends on {named} only, which limits of the intervals "
-            "between sends may demand; expected a label for each set of links, or no min_interval and max_interval"
+            f"the decision {step.decision!r} has no label that sends only on {named}, but min_interval or "
+            "max_interval may require this; expected a label for each set of links, or neither min_interval nor "
+            "max_interval"
         )
 
 
@@ -672,10 +656,11 @@ def _fixed(policy: Policy, send: Send, law: LinkLaw) -> bool:
     for name, gap in found.items():
         limit = law.intervals[name]
         if limit is not None and (gap < limit if name == "min_interval" else gap > limit):
-            every = f"with an interval of {gap} step{'s' * (gap > 1)}" if ticks else "or never"
+            every = f"with an interval of {number_of(gap, 'step')}" if ticks else "or never"
             raise ProblemError(
-                f"{policy.network.key(send.link, name)} is {limit}, but {policy.kind} sends at fixed steps on the "
-                f"{send.link} link, {every}; expected a limit that these steps keep, or other parameters of the policy"
+                f"{policy.network.key(send.link, name)} is {limit}, but the policy {policy.kind} sends at fixed steps "
+                f"on the {send.link} link, {every}; expected a limit that these steps satisfy, or other parameters of "
+                "the policy"
             )
     return True
 
@@ -690,9 +675,9 @@ def _expect_same(policy: Policy, present: Sequence[str], laws: Mapping[str, Link
         found = {_numbers(form) for form in chain.from_iterable(forms) if count in form.plus}
         if found != set(wanted.get(link, ())):
             raise ProblemError(
-                f"the decisions of this {policy.kind} keep other limits of the intervals between sends on the {link} "
-                f"link than the network, {policy.network.links[link].intervals}; expected the limits of the design: "
-                "design the policy again"
+                f"this {policy.kind} policy was designed for other limits of the intervals between sends on the "
+                f"{link} link than those of the network, {policy.network.links[link].intervals}; expected the limits "
+                "of the design: design the policy again"
             )
 
 
@@ -711,7 +696,7 @@ def _theory(policy: Policy, laws: Mapping[str, LinkLaw]) -> tuple[Theory, tuple[
     guarantee, notes = theory.guarantee, tuple[str, ...]()
     if guarantee is not None and (withheld or not guarantee.more_sends):
         effect = f"{withheld[0]} withholds" if withheld else f"{forced[0]} forces"
-        notes = (f"{effect} packets against the decision of {policy.kind}, so no bound is claimed",)
+        notes = (f"{effect} packets against the decision of {policy.kind}, so no guarantee is claimed",)
         guarantee = None
     slower = max(law.min_interval for law in laws.values())
     changed = replace(

@@ -1,4 +1,4 @@
-"""A result is one list of fields, from which JSON, tables, text and notebooks follow.
+"""Base classes of results. JSON, tables, text and notebook output follow from one list of fields.
 
 A class of results declares ``FIELDS``: each number that it holds or computes, once, with the key of its JSON document,
 the label and the text of its line, and the column of a table with one such result per row. A result with rows declares
@@ -7,8 +7,10 @@ and the key of the document of a row. So a new number of a result is one entry o
 
 * ``document()`` has the keys in the order of the fields. A field that is ``optional`` is left out if it has no value;
   the others are null.
-* ``lines()`` are the labelled lines of the text, in the order of the fields, except for those that name the field after
-  which they stand. ``str()`` is these lines and, for a result with rows, the table.
+* ``text()`` is an answer that is read from the top: the verdict, sentences that answer the question; the tables; the
+  details, labelled lines, of which notes are the last; and, if they are requested, methods, seeds and times. ``str()``
+  is the text without the latter. ``part`` of a field says to which of these its lines belong, and ``lines()`` are those
+  of a part in the order of the fields, except for fields that name the field after which their lines are.
 * ``columns()`` are the columns of the rows. ``to_pandas``, ``to_csv`` and ``to_latex`` write them; an estimate is one
   entry, but in pandas and CSV it is two columns, its value and its standard error.
 * ``summary()``, the values that a line of Python and a notebook show, are those that ``shown`` names.
@@ -23,14 +25,14 @@ from dataclasses import dataclass, fields, is_dataclass
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._display import FULL, Displayed, brief, html_pairs, html_table, is_empty
 from taciturn._files import write_whole
-from taciturn._text import Lines, pairs_text, table_text
+from taciturn._text import Lines, pairs_text, table_text, wrapped_text
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate, bound_text, outward
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 
 
 def data_frame(columns: Mapping[str, object], index: str, values: Any) -> pandas.DataFrame:
-    """Return a table of named columns, one row for each value of the named index."""
+    """Make a pandas data frame from named columns, with one row for each value of the index."""
     try:
         import pandas
     except ImportError:
@@ -51,21 +53,23 @@ def data_frame(columns: Mapping[str, object], index: str, values: Any) -> pandas
 
 
 def check_table(path: Path, formats: Sequence[str] = (".csv", ".parquet")) -> None:
-    """Reject an unsupported table file before a long computation starts."""
+    """Check the file for a table before a long computation: format, folder and required packages."""
     if path.suffix not in formats:
-        raise ProblemError(f"the table {str(path)!r} has an unknown format; expected {' or '.join(formats)}")
+        raise ProblemError(
+            f"the table {str(path)!r} has an unknown format; expected a file name that ends in {' or '.join(formats)}"
+        )
     if not path.absolute().parent.is_dir():
         raise ProblemError(f"the folder of the table {str(path)!r} does not exist; expected an existing folder")
     needed = ("pandas",) if path.suffix == ".csv" else ("pandas", "pyarrow")
     missing = " and ".join(name for name in needed if find_spec(name) is None)
     if missing:
         raise ProblemError(
-            f"{missing} is not installed, but {path.suffix} files need it: pip install 'taciturn[pandas]'"
+            f"{missing} is not installed, but {path.suffix} files require it: pip install 'taciturn[pandas]'"
         )
 
 
 def save_table(frame: pandas.DataFrame, path: Path, origin: Mapping[str, object] | None = None) -> None:
-    """Write a table as CSV or parquet; only a parquet file also contains the attributes and the origin of the table."""
+    """Write a table as CSV or parquet. A parquet file also contains attributes and origin of the table."""
     table: Any = frame  # pandas' types are incomplete
     table.attrs.update(origin or {})
     try:
@@ -88,12 +92,13 @@ Columns: TypeAlias = Mapping[str, Column]
 
 SPLICED = "*"  # key of a field whose document is a part of that of the result
 R = TypeVar("R")
+Part: TypeAlias = Literal["verdict", "details", "method"]
 Said: TypeAlias = str | Iterable[str | tuple[str, str]]
 
 
 @dataclass(frozen=True, repr=False)
 class Field(Displayed, Generic[R]):
-    """One number, word or part of a result or of a row.
+    """A named entry of a result or of a table row, such as a number, and how it is written in JSON, tables and text.
 
     Args:
         name: name of the attribute, and of whatever has no other name.
@@ -111,8 +116,8 @@ class Field(Displayed, Generic[R]):
             left out. A mapping has a line for each entry, whose name the label contains, as in ``"rate, {}"``.
         none: text of a missing value.
         up: direction in which a bound is rounded in text and tables so that it still holds: 1 up, −1 down.
-        after: name of the field after whose lines its own lines stand; default: the order of the list.
-        above: whether its lines stand above the table.
+        after: name of the field after whose lines its own lines are; default: the order of the list.
+        part: part of the text to which its lines belong.
     """
 
     name: str
@@ -127,10 +132,10 @@ class Field(Displayed, Generic[R]):
     none: str = ""
     up: int = 0
     after: str | None = None
-    above: bool = False
+    part: Part = "details"
 
     def of(self, result: R) -> Any:
-        """Return the value of a result or of a row."""
+        """Return the value that this field has in a result or a table row."""
         if callable(self.value):
             return self.value(result)
         value: Any = result
@@ -139,12 +144,12 @@ class Field(Displayed, Generic[R]):
         return value
 
     def entry(self, result: R) -> Any:
-        """Return the value as tables contain it: a bound with six digits, so that it still holds."""
+        """Return the value for a table. A bound is rounded to six digits, in the direction in which it still holds."""
         value = self.of(result)
         return outward(value, 6, self.up) if self.up and isinstance(value, float) else value
 
     def texts(self, result: R) -> list[tuple[str, str]]:
-        """Return the lines of a result, each with its label."""
+        """Return the lines, each with a label, that this field adds to the text of a result."""
         if callable(self.text):
             said = self.text(result)
             lines = [said] if isinstance(said, str) else said
@@ -163,17 +168,30 @@ class Field(Displayed, Generic[R]):
         return [(label, self.text.format(value, of=result))] if value != "" else []
 
     def cell(self, row: R) -> str:
-        """Return the cell of a row."""
+        """Write this field of one table row as text."""
         return "".join(text for _, text in self.texts(row))
 
 
+VERDICT: Field[Any] = Field("verdict", json="; ".join, say="", part="verdict")
+"""Sentences that answer the question of a command, of a result with a property of this name."""
+
+
+def rows_text(listed: Iterable[Field[R]], rows: Sequence[R], names: int = 1) -> str:
+    """Write rows as a text table, without columns that are empty. The first ``names`` columns name a row."""
+    columns = [(field.say, [field.cell(row) for row in rows]) for field in listed if field.say is not None]
+    shown = [(say, cells) for place, (say, cells) in enumerate(columns) if place < names or any(cells)]
+    if not rows or not shown:
+        return ""
+    return table_text([say for say, _ in shown], [*zip(*(cells for _, cells in shown), strict=True)], names)
+
+
 def plain_fields(*names: str) -> list[Field[Any]]:
-    """Return fields that are only in the document, each under its own name."""
+    """Return fields that only the JSON document contains, each under its attribute's name."""
     return [Field(name) for name in names]
 
 
 def document_of(result: R, listed: Iterable[Field[R]]) -> dict[str, Any]:
-    """Return the JSON document of the fields of a result or of a row."""
+    """Write a result or a table row as a JSON document, with one key for each field."""
     found: dict[str, Any] = {}
     for field in listed:
         value = None if field.key == "" else field.of(result)
@@ -185,7 +203,7 @@ def document_of(result: R, listed: Iterable[Field[R]]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON: an estimate as value and standard error, a part of a result as its own document."""
+    """Convert a value to JSON: an estimate to value and standard error, and a nested result to its document."""
     if isinstance(value, Estimate):
         return value.document("value", "standard_error")
     if isinstance(value, np.ndarray):
@@ -198,17 +216,17 @@ def plain(value: Any) -> Any:
 
 
 def whole(estimate: Estimate) -> dict[str, Any]:
-    """Return an estimate as JSON with its method, and with the error of a quadrature."""
+    """Convert an estimate to JSON, including its method and, for a quadrature, its error bound."""
     return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})
 
 
 def seconds(value: float) -> float:
-    """Return a time as JSON, to a tenth of a millisecond."""
+    """Round a duration in seconds to 0.1 ms, for JSON."""
     return round(value, 4)
 
 
 class Result(Displayed):
-    """A result, whose document and text follow from its list of fields."""
+    """Base class of results. It derives the JSON document and the text from a list of fields."""
 
     FIELDS: ClassVar[tuple[Field[Any], ...]] = ()
     """Each number of the result, in the order of the document; empty: the fields of the class."""
@@ -216,19 +234,19 @@ class Result(Displayed):
     """Names of the attributes that a line of Python and a notebook show; empty: all fields of the class."""
 
     def summary(self) -> Mapping[str, object]:
-        """Return the displayed values by name, the most important first."""
+        """Return the values to display, by name. The most important comes first."""
         return {name: getattr(self, name) for name in self.shown or self._names()}
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document of the command's ``--json``."""
+        """Return the JSON document that a command prints for this result with ``--json``."""
         return document_of(self, self.FIELDS or plain_fields(*self._names()))
 
     def _names(self) -> list[str]:
         held: Any = self
         return [field.name for field in fields(held)] if is_dataclass(held) else []
 
-    def lines(self, above: bool = False) -> Lines:
-        """Return the printed lines as pairs of name and text: those below the table, or those above it."""
+    def lines(self, part: Part = "details") -> Lines:
+        """Return the lines of one part of the text, such as the verdict. Each line is a pair of label and text."""
         order = [field for field in self.FIELDS if field.after is None]
         left = [field for field in self.FIELDS if field.after is not None]
         while left:
@@ -236,44 +254,61 @@ class Result(Displayed):
             field = next(field for field in left if field.after in places)
             order.insert(places[str(field.after)], field)
             left.remove(field)
-        said = [field for field in order if field.say is not None and field.above == above]
+        said = [field for field in order if field.say is not None and field.part == part]
         return [line for field in said for line in field.texts(self)]
 
+    def table_texts(self) -> Sequence[str]:
+        """Return the tables that the printed text contains."""
+        return ()
+
+    def text(self, verbose: bool = False) -> str:
+        """Return the text that a command prints, with the details of ``--verbose`` or without; if empty, the
+        ``repr``.
+        """
+        verdict = "\n".join(wrapped_text(sentence) for _, sentence in self.lines("verdict"))
+        details = pairs_text([*self.lines(), *(self.lines("method") if verbose else ())])
+        return "\n\n".join(filter(None, (verdict, *self.table_texts(), details))) or repr(self)
+
     def __str__(self) -> str:
-        """Return the text that the command prints; without lines, that of Python."""
-        return pairs_text(self.lines()) or repr(self)
+        """Return the text that the command prints without --verbose."""
+        return self.text()
+
+    def html(self) -> str:
+        """Write the verdict and a table of names and values as HTML."""
+        return self._verdict() + super().html()
+
+    def _verdict(self) -> str:
+        return "".join(f"<div>{escape(sentence)}</div>" for _, sentence in self.lines("verdict"))
 
 
 class Tabular(Result):
-    """A result with rows and named columns, in which an estimate is a single entry."""
+    """Base class of results that are tables with rows and named columns. An estimate is one entry of a row."""
 
     index: ClassVar[str] = ""
     """Name of the column that numbers the rows; empty if there is no such column."""
     heading: ClassVar[tuple[str, ...]] = ()
     """Names of the attributes that apply to the whole table, such as units and notes."""
-    gap: ClassVar[str] = "\n"
-    """Text between the lines above the table, the table and the lines below it."""
 
     @property
     def labels(self) -> int:
-        """Number of the columns on the left of the text that name a row."""
+        """Number of columns, from the left, whose entries name a row of the text table."""
         return 1
 
     def table_rows(self) -> Sequence[Any]:
-        """Return what has one row each in the table."""
+        """Return the objects that the table shows, one for each row."""
         return ()
 
     def row_fields(self) -> tuple[Field[Any], ...]:
-        """Return each number of a row."""
+        """Return the fields that a row of the table shows."""
         return ()
 
     def row_documents(self) -> list[dict[str, Any]]:
-        """Return the JSON document of each row."""
+        """Write each row of the table as a JSON document."""
         listed = self.row_fields()
         return [document_of(row, listed) for row in self.table_rows()]
 
     def columns(self) -> Columns:
-        """Return the columns by name, all with the same length; missing entries are None."""
+        """Return the columns by name. All columns have the same length; a missing entry is None."""
         rows, found = self.table_rows(), dict[str, Column]()
         for field in self.row_fields():
             values = [field.entry(row) for row in rows] if field.column else []
@@ -283,32 +318,23 @@ class Tabular(Result):
 
     def table(self) -> str:
         """Return the rows as text."""
-        said = [field for field in self.row_fields() if field.say is not None]
-        if not said:
-            return ""
-        header = [field.say or "" for field in said]
-        return table_text(header, [[field.cell(row) for field in said] for row in self.table_rows()], self.labels)
+        return rows_text(self.row_fields(), self.table_rows(), self.labels)
 
-    def remarks(self) -> Iterable[str]:
-        """Return the text below the lines."""
-        return ()
-
-    def __str__(self) -> str:
-        """Return the text that the command prints."""
-        parts = [pairs_text(self.lines(above=True)), self.table(), pairs_text(self.lines()), *self.remarks()]
-        return self.gap.join(filter(None, parts)) or repr(self)
+    def table_texts(self) -> Sequence[str]:
+        """Return the rows as text."""
+        return (self.table(),)
 
     def records(self) -> list[Record]:
-        """Return the rows as mappings from column names to entries."""
+        """Return the rows, each as a mapping from column name to entry."""
         columns = self.columns()
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def about(self) -> dict[str, object]:
-        """Return the attributes that apply to the whole table, by name."""
+        """Return the attributes, by name, that apply to the whole table, such as a price."""
         return {name: getattr(self, name) for name in self.heading}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return the table as a data frame; an estimate has one column for its value and one for its standard error."""
+        """Convert the table to a pandas data frame. An estimate becomes two columns: value and standard error."""
         columns: dict[str, Column] = {}
         for name, values in self.columns().items():
             columns[name] = values
@@ -321,7 +347,7 @@ class Tabular(Result):
         return data_frame(columns, "row", range(len(next(iter(columns.values()), ()))))
 
     def to_csv(self, path: str | Path | None = None) -> str:
-        """Return the table of ``to_pandas`` as CSV text, and write it to a file if a path is given."""
+        """Write the table of ``to_pandas`` as CSV text. If a path is given, also write it to this file."""
         target = None if path is None else Path(path)
         if target is not None:
             check_table(target, (".csv",))
@@ -332,7 +358,7 @@ class Tabular(Result):
         return frame.to_csv(index=False)
 
     def to_latex(self, path: str | Path | None = None) -> str:
-        r"""Return the table in LaTeX, and write it to a file if a path is given.
+        r"""Write the table in LaTeX. If a path is given, also write it to this file.
 
         An estimate is a single entry, value \\pm standard error. The error has two digits, and the value is rounded to
         the same decimal place. A number without an error has six digits. Comments above the table contain version,
@@ -351,14 +377,14 @@ class Tabular(Result):
         return text
 
     def html(self) -> str:
-        """Return the table as HTML, with its general attributes; a long table shows only its first and last rows."""
+        """Write the table and its attributes as HTML. Only the first and last rows of a long table are shown."""
         columns = self.columns()
         rows = [[escape(_text(value)) for value in row] for row in zip(*columns.values(), strict=True)]
         told = self.about()
         if len(rows) > FIRST + LAST:
             told["omitted"] = f"{len(rows) - FIRST - LAST} of {len(rows)} rows; to_pandas() and to_csv() return all"
             rows = [*rows[:FIRST], ["…"] * len(columns), *rows[-LAST:]]
-        above = html_pairs(type(self).__name__, told)
+        above = self._verdict() + html_pairs(type(self).__name__, told)
         return above + html_table([name.replace("_", " ") for name in columns], rows)
 
 

@@ -1,4 +1,4 @@
-"""The limits of actuators: the input that an actuator applies for a command.
+"""Input limits: which input an actuator applies when it receives a command.
 
 An input first moves towards the command, by at most its rate in a step, and is then brought between its limits, so that
 it never leaves them. Limits are stated per input as a positive number, which is symmetric, or as a pair [low, high], in
@@ -22,7 +22,7 @@ from taciturn.errors import ProblemError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Saturation(Displayed):
-    """The limits of each input, and of its change per step.
+    """Lower and upper limit of each input, and the limit of its change per step.
 
     An actuator moves its input towards the command, by at most ``rate``, and stays between ``low`` and ``high``.
     """
@@ -43,28 +43,28 @@ class Saturation(Displayed):
 
     @property
     def moves(self) -> Saturation | None:
-        """The limits with that of the change, or None if the change of no input is limited."""
+        """These limits if an input has a limit of its change per step; otherwise None."""
         return self if self.rate is not None and np.isfinite(self.rate).any() else None
 
     @property
     def bounded(self) -> bool:
-        """True if every input is limited from both sides."""
+        """True if every input has a lower and an upper limit."""
         return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
 
     def of(self, inputs: Sequence[int]) -> Saturation:
-        """Return the limits of some of the inputs."""
+        """Return the limits of some inputs, given by their indices."""
         rows = [*inputs]
         return replace(
             self, low=self.low[rows], high=self.high[rows], rate=None if self.rate is None else self.rate[rows]
         )
 
     def begun(self, before: Array) -> Array:
-        """Return the input before the first step, within the limits."""
+        """Clip the input before the first step to the limits."""
         return np.minimum(np.maximum(before, self.low), self.high)
 
 
 def saturation(limit: Array | None, rate: Array | None) -> Saturation | None:
-    """Return the limits of a plant with ``input_limit`` and ``input_rate``, or None if it has neither."""
+    """Return the limits that a plant's ``input_limit`` and ``input_rate`` state; None if it has neither."""
     if limit is None and rate is None:
         return None
     sides = limit if limit is not None else np.full((len(cast("Array", rate)), 2), (-np.inf, np.inf))
@@ -72,23 +72,23 @@ def saturation(limit: Array | None, rate: Array | None) -> Saturation | None:
 
 
 def limits_from(value: ArrayLike, inputs: int) -> Array:
-    """Return the lower and the upper limit of each input, (m, 2)."""
+    """Convert limits, as the user has stated them, to a lower and an upper limit of each input, (m, 2)."""
     entries = _entries(value)
     if not any(np.ndim(entry) for entry in entries):
         if len(entries) == 2 > inputs:
             raise ProblemError(
-                "input_limit has shape (2,); expected (1,) = (inputs,), or a pair of limits of the only input: "
-                f"[{quoted(entries)}]"
+                "input_limit has shape (2,), but the plant has one input; expected the shape (1,), or a pair of "
+                f"limits for this input: [{quoted(entries)}]"
             )
         high = positive("input_limit", value, inputs)
         return frozen(np.stack([-high, high], axis=1))
     if len(entries) != inputs:
-        raise ProblemError(f"input_limit has {len(entries)} entries; expected {inputs}, one per input")
+        raise ProblemError(f"input_limit has {len(entries)} entries; expected {inputs} entries, one for each input")
     return frozen(np.array([_pair(f"input_limit[{i}]", entry) for i, entry in enumerate(entries)]))
 
 
 def positive(name: str, value: ArrayLike, inputs: int) -> Array:
-    """Return one positive number per input, (m,), ∞ for no limit."""
+    """Check that each input has one positive number, and return them, (m,). ∞ means that there is no limit."""
     entries = _entries(value)
     limited = [not (isinstance(entry, float) and entry == np.inf) for entry in entries]
     finite = [entry if kept else 1.0 for entry, kept in zip(entries, limited, strict=True)]
@@ -99,7 +99,7 @@ def positive(name: str, value: ArrayLike, inputs: int) -> Array:
 
 
 def limit_entries(limit: Array) -> list[float | list[float]]:
-    """Return limits, (m, 2), as one entry per input: a number if they are symmetric, or else a pair."""
+    """Convert limits, (m, 2), to one entry per input: a number if they are symmetric, and otherwise a pair."""
     return [float(high) if low == -high else [float(low), float(high)] for low, high in limit]
 
 

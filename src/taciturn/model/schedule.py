@@ -1,4 +1,4 @@
-"""Schedules of sensor queries that are computed offline and can be printed, plotted and exported as tables."""
+"""Sensor schedules that are computed offline, and can be printed, plotted and exported as tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn._figure import Panel, Series, Size, draw
+from taciturn._figure import HEIGHT, Lane, Level, Panel, Series, Size, StyleName, draw
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.result import Column, Columns, Tabular
 
@@ -23,7 +24,7 @@ SHOWN = 30  # smallest number of steps shown in a figure
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(Tabular):
-    """A schedule that queries sensors at the steps at which the value of a query exceeds its price.
+    """A sensor schedule. The sensor is queried at the steps at which the value of a query exceeds its price.
 
     Step k is followed by step k + 1, and the last step by step ``start``, from which the schedule repeats. For a
     finite horizon the schedule does not repeat, and ``start`` is None.
@@ -52,7 +53,7 @@ class Schedule(Tabular):
 
     @property
     def by_link(self) -> Mapping[str, Schedule]:
-        """The schedule of each sensor by its link."""
+        """Schedule of each sensor, by the name of the sensor's link."""
         if len(self.links) == 1:
             return {self.links[0]: self}
         columns = zip(self.links, self.queries.T, self.value.T, strict=True)
@@ -60,17 +61,17 @@ class Schedule(Tabular):
 
     @property
     def rates(self) -> Mapping[str, float]:
-        """Mean queries per step by link, as ``rate`` states them."""
+        """Mean number of queries per step of each link. The attribute ``rate`` defines this mean."""
         return {link: one.rate for link, one in self.by_link.items()}
 
     @property
     def period(self) -> int | None:
-        """Steps after which the schedule repeats, or None for a finite horizon."""
+        """Number of steps after which the schedule repeats; None if it has a finite horizon."""
         return None if self.start is None else len(self.queries) - self.start
 
     @property
     def rate(self) -> float:
-        """Mean queries per step over the repeating part or the horizon; if discounted, (1−α)Σα^k over query steps k.
+        """Mean queries per step over a period or the horizon; with a discount α, (1−α)Σα^k over the query steps k.
 
         Raises:
             ProblemError: the schedule has several links.
@@ -84,7 +85,7 @@ class Schedule(Tabular):
 
     @property
     def ticks(self) -> list[int]:
-        """The steps at which the sensor is queried.
+        """Numbers of the steps at which the sensor is queried.
 
         Raises:
             ProblemError: the schedule has several links.
@@ -93,7 +94,7 @@ class Schedule(Tabular):
         return [int(tick) for tick in np.flatnonzero(self.queries)]
 
     def repeating(self) -> Schedule:
-        """Return the schedule without the steps before its repeating part."""
+        """Return the part of the schedule that repeats, without the steps before it."""
         kept = slice(self.start or 0, None)
         start = None if self.start is None else 0
         return replace(
@@ -101,7 +102,7 @@ class Schedule(Tabular):
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the schedule as a dictionary for JSON: queried steps, length, repetition and value of each query.
+        """Write the schedule as a dictionary for JSON: query steps, length, repetition and values of the queries.
 
         For several sensors, queried steps, rate and values are dictionaries by link.
         """
@@ -119,27 +120,27 @@ class Schedule(Tabular):
             found |= {name: found[name][self.links[0]] for name in ("queries", "rate", "value")}
         return found
 
-    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of the values, the price and the queries; a short cycle is shown several times."""
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Draw the value of a query at each step, the price, and the steps with a query. A short period is repeated."""
         shown = list(range(len(self.queries)))
         while self.start is not None and len(shown) < SHOWN:
             shown += range(self.start, len(self.queries))
         ticks = [float(k) for k in range(len(shown))]
-        limit = Series([ticks[0], ticks[-1]], [self.price] * 2, "price, ζ", "dashed", color=3)
-        where = "" if self.start is None else f"repeats every {self.period} steps from step {self.start}"
-        panels, marked = list[Panel](), list[Panel]()
+        where = "" if self.start is None else f"repeats every {number_of(self.period, 'step')} from step {self.start}"
+        panels, lanes = list[Panel](), list[Lane]()
         for link, one in self.by_link.items():
-            of, query = ("", "query") if len(self.links) == 1 else (f" of {link}", f"query of {link}")
+            of = "" if len(self.links) == 1 else f" of {link}"
             asked = [k for k, tick in zip(ticks, shown, strict=True) if one.queries[tick]]
-            values = [Series(ticks, one.value[shown].tolist(), f"value of a query{of}, h"), limit]
-            marks = [Series(asked, [1.0] * len(asked), f"queries{of}: {len(asked)} of {len(shown)}", "stems")]
-            panels.append(Panel(values, ylabel="cost", title="" if panels else where))
-            last = "step" if link == self.links[-1] else ""
-            marked.append(Panel(marks, xlabel=last, ylabel=query))
-        return draw([*panels, *marked], ax, figsize)
+            values = [Series(ticks, one.value[shown].tolist(), f"value of a query{of}, h", "steps")]
+            price = Level(self.price, "price, ζ", "limits")
+            panels.append(
+                Panel(values, ylabel="cost", title="" if panels else where, levels=(price,), height=HEIGHT / 2)
+            )
+            lanes.append(Lane(f"query{of}", asked, note=f"{len(asked)} of {len(shown)}"))
+        return draw([*panels, Panel(lanes=lanes, xlabel="step")], ax, figsize, style)
 
     def columns(self) -> Columns:
-        """Return the columns step, value, query and diagonal of the covariance, with one row per step.
+        """Return table columns with one row per step: value of the query, whether it is made, and error variances.
 
         For several sensors, there is a column of values and of queries for each link.
         """
@@ -153,4 +154,7 @@ class Schedule(Tabular):
     def _expect_one(self, several: str) -> None:
         """Raise a ``ProblemError`` with the property to use instead if the schedule has several links."""
         if len(self.links) > 1:
-            raise ProblemError(f"the schedule has the links {', '.join(self.links)}; expected one link: use {several}")
+            raise ProblemError(
+                f"the schedule has the links {', '.join(self.links)}; expected a schedule with one link: for several "
+                f"links, use {several}"
+            )

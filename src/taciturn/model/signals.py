@@ -1,4 +1,4 @@
-"""Signals from outside that act on a plant: disturbances and set-points are one notion.
+"""External signals that act on a plant: disturbances and set-points, which together form an exosystem.
 
 A signal has states d that no input moves, d⁺ = S d + w_d (or ḋ = S d + noise) from a known start. They act on the plant
 and on the outputs z that are to be zero:
@@ -50,7 +50,7 @@ LONGEST = 100_000  # sampling steps of a timetable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Signal(Displayed):
-    """One signal: the states d⁺ = S d + w that no input moves, and where they enter."""
+    """An external signal: states d⁺ = S d + w, which no input affects, and their effects on the plant."""
 
     S: Array  # dynamics of the states, (q, q)
     W: Array  # covariance per step, or intensity per second, of the noise that moves them, (q, q)
@@ -60,14 +60,14 @@ class Signal(Displayed):
     F: Array | None = None  # effect on the outputs z that are to be zero, (z, q)
 
     def entering(self, name: str, rows: int) -> Array:
-        """Return the effect E, G or F on so many rows, whether the signal has one or not."""
+        """Return the effect matrix E, G or F of a signal, with the given number of rows; zeros if it has none."""
         found: Array | None = getattr(self, name)
         return np.zeros((rows, len(self.S))) if found is None else found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Changes(Displayed):
-    """How set-points change while the loop runs; forms of set-points are subclasses."""
+    """Base class of set-points that change while the loop runs."""
 
     key: ClassVar[str] = "changes"  # of the problem file, after "reference."
 
@@ -78,30 +78,30 @@ class Changes(Displayed):
 
     @property
     def noise(self) -> Array | None:
-        """The mean square of the changes that the controller is given, per second or step; None if it is given none."""
+        """Mean square, per second or step, of the changes that the controller reads; None if it reads none."""
         return None
 
     @property
     def known(self) -> Array | None:
-        """The set-points that are known in advance, in the units of the plant, from the start on; or None."""
+        """The set-points in the units of the plant, if they are known in advance; otherwise None."""
         return None
 
     def states(self, continuous: bool) -> Signal | None:
-        """Return what the form adds to constant set-points as a signal of its own, or None."""
+        """Return the signal that is added to the constant set-points; None if there is none."""
         return None
 
     def relative_to(self, z: Array) -> Changes:
-        """Return the form for set-points that count from z."""
+        """Express the set-points as deviations from the values z."""
         return self
 
     def sampled(self, period: float) -> RandomSteps | SampledChanges:
-        """Return the changes at the sampling instants that the controller is given."""
+        """Return the changes as the controller reads them at the sampling instants."""
         raise NotImplementedError  # a form whose states move by themselves is sampled with the plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomSteps(Changes):
-    """Steps of set-points at random times: each adds a normal random vector with mean zero to the set-points.
+    """Set-points that change in steps at random times. Each change is a normal random vector with zero mean.
 
     Args:
         rate: mean number of steps per second, or per sampling step of a plant that is discrete in time, positive.
@@ -135,11 +135,11 @@ class RandomSteps(Changes):
 
     @property
     def noise(self) -> Array:
-        """The covariance of the changes, per second or sampling step."""
+        """Covariance of the changes, per second or per sampling step."""
         return self.rate * self.covariance
 
     def sampled(self, period: float) -> RandomSteps:
-        """Return the changes at the sampling instants: at most one per period, with the same variance.
+        """Convert the changes to discrete time: at most one change per period, with the same variance.
 
         Raises:
             ProblemError: there is more than one step per sampling period.
@@ -155,7 +155,7 @@ class RandomSteps(Changes):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Timetable(Changes):
-    """Set-points that change at known times, and then repeat. The controller learns of a change when it takes effect.
+    """Set-points that change at known times, and then repeat. The controller learns of a change when it happens.
 
     Args:
         times: times of the changes in seconds, or sampling steps of a plant that is discrete in time, (rows,); the
@@ -186,8 +186,8 @@ class Timetable(Changes):
             )
         if not np.array_equal(self.values[0], self.values[-1]):
             raise ProblemError(
-                f"reference.file ends with the set-points {self.values[-1].tolist()}; expected those of its first row, "
-                f"{self.values[0].tolist()}, with which the timetable begins again"
+                f"reference.file ends with the set-points {self.values[-1].tolist()}; expected the set-points of its "
+                f"first row, {self.values[0].tolist()}, with which the timetable begins again"
             )
 
     @property
@@ -197,21 +197,21 @@ class Timetable(Changes):
 
     @property
     def noise(self) -> Array:
-        """The mean square of the changes, per second or sampling step."""
+        """Mean square of the changes, per second or per sampling step."""
         moved = np.diff(self.values, axis=0)
         return np.asarray(moved.T @ moved / self.times[-1], dtype=np.float64)
 
     @property
     def known(self) -> Array:
-        """The set-points of all rows."""
+        """The set-points in all rows of the timetable."""
         return self.values
 
     def relative_to(self, z: Array) -> Timetable:
-        """Return the timetable of set-points that count from z."""
+        """Express the set-points of the timetable as deviations from the values z."""
         return Timetable(self.times, self.values - z)
 
     def sampled(self, period: float) -> SampledChanges:
-        """Return the changes at the sampling instants; a change between them takes effect at the next one.
+        """Convert the changes to discrete time: a change between two sampling instants takes effect at the later one.
 
         Raises:
             ProblemError: the timetable has too many sampling steps, or one that lasts less than a period.
@@ -219,16 +219,18 @@ class Timetable(Changes):
         steps = np.ceil(self.times / period * (1 - 1e-12)).astype(int)
         if abs(self.times[-1] / period - steps[-1]) > 1e-9 * steps[-1]:
             raise ProblemError(
-                f"reference.file lasts {self.times[-1]:g}, which is no multiple of the sampling step {period:g}, so "
-                f"that it would shift with each repetition; expected for example {steps[-1] * period:g}"
+                f"reference.file lasts {self.times[-1]:g}, which is not a multiple of the sampling step {period:g}, "
+                f"so the timetable would shift with each repetition; expected, for example, {steps[-1] * period:g}"
             )
         if steps[-1] > LONGEST:
             raise ProblemError(
-                f"reference.file lasts {steps[-1]} sampling steps; expected at most {LONGEST}: shorten the timetable"
+                f"reference.file lasts {steps[-1]} sampling steps; expected at most {LONGEST} steps: shorten the "
+                "timetable"
             )
         if not (np.diff(steps) > 0).all():
             raise ProblemError(
-                f"reference.file has changes within one sampling period ({period:g}); expected at most one in each"
+                f"reference.file has several changes within one sampling period ({period:g}); expected at most one "
+                "change in each period"
             )
         table = np.zeros((int(steps[-1]), self.size))
         table[steps[1:] - 1] = np.diff(self.values, axis=0)
@@ -237,7 +239,7 @@ class Timetable(Changes):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledChanges(Displayed):
-    """The change of the set-points from each step of a timetable to the next; the timetable repeats.
+    """Changes of a timetable's set-points from one step to the next. The timetable repeats.
 
     Args:
         table: the changes, (steps, z).
@@ -252,13 +254,13 @@ class SampledChanges(Displayed):
 
     @property
     def noise(self) -> Array:
-        """The mean square of the changes per step."""
+        """Mean square of the changes per step."""
         return np.asarray(self.table.T @ self.table / len(self.table), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SetPoint(Displayed):
-    """The values that some combinations of the states are to have."""
+    """Set-points of some linear combinations of the states."""
 
     # C_z of the combinations z = C_z x, (z, n)
     outputs: Array = field(metadata=stated_as(Rows | None))
@@ -283,19 +285,23 @@ class SetPoint(Displayed):
             instance("changes", changes, *Changes.__subclasses__())
             if changes.size != size:
                 raise ProblemError(
-                    f"reference.{changes.key} states changes of {changes.size} set-points; expected {size}, one for "
-                    "each of reference.outputs"
+                    f"reference.{changes.key} states changes of {changes.size} set-points; expected {size} set-points, "
+                    "one for each row of reference.outputs"
                 )
         if changes is not None and changes.known is not None:
             if value is not None:
-                raise ProblemError(f"reference.value and reference.{changes.key} are given; expected one of them")
+                raise ProblemError(
+                    f"reference.value and reference.{changes.key} are both given; expected only one of them"
+                )
             value = changes.known[0]
         value = None if value is None else array("reference.value", value, (size,), "(set-points,)")
         D = D if D is not None and D.any() else None
         set_fields(self, {"outputs": followed, "value": value, "changes": changes, "D": D})
 
     def signals(self, continuous: bool, changes: Changes | None, at: Array | None) -> list[Signal]:
-        """Return the set-points, which count from z = ``at`` if given, as signals; those with changes come last."""
+        """Return the set-points as external signals, those that change last. With ``at``, they are deviations
+        from it.
+        """
         z = len(self.outputs)
         value = np.zeros(z) if self.value is None else self.value if at is None else self.value - at
         own, noise = (None, None) if changes is None else (changes.states(continuous), changes.noise)
@@ -310,7 +316,7 @@ Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExternalDisturbance(Displayed):
-    """A disturbance of known shape and unknown size, which the filter estimates and the input compensates.
+    """A disturbance of known shape and unknown size. The filter estimates it, and the input compensates it.
 
     Args:
         enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
@@ -350,7 +356,9 @@ class ExternalDisturbance(Displayed):
         enters = array("disturbance.enters", enters, (None,), "(states,)")
         wander = number("disturbance.wander", wander, 0.0)
         if shape not in get_args(Shape):
-            raise ProblemError(f"disturbance.kind is {quoted(shape)}; expected one of {', '.join(get_args(Shape))}")
+            raise ProblemError(
+                f"disturbance.kind is {quoted(shape)}; expected one of the kinds {', '.join(get_args(Shape))}"
+            )
         if (frequency is None) == (shape == "sinusoid"):
             got = "missing" if frequency is None else f"{frequency:g}"
             expected = "the radians per step or second of a sinusoid" if frequency is None else f"none for a {shape}"
@@ -363,12 +371,14 @@ class ExternalDisturbance(Displayed):
         frequency = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
         seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
         if not enters.any() and (seen is None or not seen.any()):
-            raise ProblemError("disturbance.enters and measured are zero; expected an effect on a state or output")
+            raise ProblemError(
+                "disturbance.enters and disturbance.measured are zero; expected an effect on a state or an output"
+            )
         set_fields(self, {"enters": enters, "wander": wander, "shape": shape})
         set_fields(self, {"frequency": frequency, "measured": seen, "matrix": matrix})
 
     def dynamics(self, continuous: bool) -> Array:
-        """Return S; the first state is the value of the disturbance.
+        """Return the matrix S of the disturbance's dynamics. The first state is the value of the disturbance.
 
         Raises:
             ProblemError: a mode of the matrix grows.
@@ -388,18 +398,18 @@ class ExternalDisturbance(Displayed):
             return np.array([[0.0, 1.0], [0.0, 0.0]]) + (0.0 if continuous else np.eye(2))
         w = self.frequency or 0.0
         if not continuous and w >= pi:
-            raise ProblemError(f"disturbance.frequency is {w:g}; expected below π radians per step")
+            raise ProblemError(f"disturbance.frequency is {w:g}; expected a frequency below π radians per step")
         return np.array([[0.0, w], [-w, 0.0]]) if continuous else np.array([[cos(w), sin(w)], [-sin(w), cos(w)]])
 
     @property
     def noise(self) -> Array:
-        """The covariance, or intensity, of the noise of the states."""
+        """Covariance of the noise that drives the disturbance's states; in continuous time, its intensity."""
         moved = {"constant": [1.0], "ramp": [0.0, 1.0], "sinusoid": [1.0, 1.0]}
         own = [] if self.matrix is None else [1.0] * len(self.matrix)
         return self.wander * np.diag(moved.get(self.shape, own))
 
     def signal(self, continuous: bool, outputs: int) -> Signal:
-        """Return the disturbance as a signal, which enters by its first state, its value."""
+        """Return the disturbance as an external signal. Only its first state acts on the plant."""
         S, seen = self.dynamics(continuous), np.zeros(outputs) if self.measured is None else self.measured
         E, G = (np.pad(effect[:, None], ((0, 0), (0, len(S) - 1))) for effect in (self.enters, seen))
         return Signal(S, self.noise, np.zeros(len(S)), E, G)
@@ -407,7 +417,7 @@ class ExternalDisturbance(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Exosystem(Displayed):
-    """All disturbances and set-points of a plant.
+    """The joint dynamics of all disturbances and set-points of a plant.
 
     Args:
         S: dynamics of the states d, (q, q).
@@ -448,7 +458,7 @@ class Exosystem(Displayed):
         continuous: bool,
         point: OperatingPoint | None = None,
     ) -> Exosystem:
-        """Return the exosystem of disturbances and of a set-point.
+        """Combine disturbances and set-points into one exosystem.
 
         Args:
             disturbances: the disturbances.
@@ -469,7 +479,9 @@ class Exosystem(Displayed):
             measured = np.zeros(outputs) if one.measured is None else one.measured
             for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
                 if len(got) != expected:
-                    raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
+                    raise ProblemError(
+                        f"disturbance[{place}].{name} has {len(got)} entries; expected {expected} entries"
+                    )
         changes, at = target.changes, None
         if point is not None and target.value is not None:
             at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)

@@ -1,4 +1,4 @@
-"""Plants from systems of python-control and scipy.
+"""Conversion of systems of python-control and scipy to plants.
 
 Both libraries have state-space objects with A, B, C, D and dt, or objects that convert to them. They differ in dt:
 None is continuous time in scipy and unspecified in python-control, and True is discrete time without seconds. A
@@ -23,7 +23,7 @@ DELAYS = ("InputDelay", "OutputDelay", "IODelay", "InternalDelay", "input_delay"
 
 @runtime_checkable
 class StateSpaceLike(Protocol):
-    """The common attributes of `control.StateSpace` and `scipy.signal.StateSpace`/`dlti`."""
+    """Attributes that `control.StateSpace` and `scipy.signal.StateSpace`/`dlti` have in common."""
 
     A: npt.NDArray[np.float64]
     B: npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ def plant_from(
     input_limit: ArrayLike | None = None,
     input_rate: ArrayLike | None = None,
 ) -> Plant | ContinuousPlant:
-    """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
+    """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` to a plant.
 
     A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
     Plant. A feedthrough D is read as that of the input in the step before, y_k = C x_k + D û_{k−1}, because a sensor
@@ -81,7 +81,7 @@ def plant_from(
 
 
 def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:
-    """Return the state space of a system of python-control or scipy, and its step.
+    """Convert a system of python-control or scipy to state space; also return its sampling period.
 
     The step is 0 for continuous time, and None for discrete time without seconds.
     """
@@ -96,15 +96,15 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
             system = cast("StateSpaceLike", to_state_space())
         except (TypeError, ValueError, NotImplementedError, ImportError) as error:  # improper, several inputs, no data
             raise ProblemError(
-                f"{name} is a {type(system).__name__} without a state space ({error}); "
-                "expected an object with A, B, C, D, or a proper transfer function"
+                f"{name} is a {type(system).__name__} without a state-space form ({error}); expected an object with A, "
+                "B, C, D, or a proper transfer function"
             ) from None
     refuse_delays(name, vars_of(system))
     dt: float | bool | None = getattr(system, "dt", None)
     if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
-            "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
-            "create the system again with dt=0 or dt=…"
+            "the sampling period dt of the system is None, so it is unspecified; expected 0 (continuous) or the "
+            "seconds per step: create the system again with dt=0 or dt=…"
         )
     if dt is None or (dt is not True and dt == 0):
         return system, 0.0
@@ -112,28 +112,28 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
 
 
 def vars_of(system: object) -> dict[str, object]:
-    """Return the attributes of a system that may change what A and B mean."""
+    """Return the attributes of a system that change the meaning of A and B: descriptor matrix and delays."""
     return {name: getattr(system, name) for name in ("E", *DELAYS) if getattr(system, name, None) is not None}
 
 
 def descriptor_of(held: Mapping[str, object]) -> npt.NDArray[np.float64] | None:
-    """Return the descriptor matrix E of a system, or None if it has none, or the identity."""
+    """Return the descriptor matrix E of a system; None if E is missing, or is the identity."""
     matrix = np.asarray(held.get("E", ()), dtype=np.float64)
     one = matrix.ndim == 2 and np.array_equal(matrix, np.eye(len(matrix)))
     return None if one or not matrix.size else matrix
 
 
 def refuse_descriptor(name: str, held: Mapping[str, object]) -> None:
-    """Raise an error for the descriptor matrix E of a controller, unless it is the identity."""
+    """Raise an error if a controller has a descriptor matrix E that is not the identity."""
     if descriptor_of(held) is not None:
         raise ProblemError(
-            f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: for a regular E, "
+            f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: if E is invertible, "
             "use the matrices E⁻¹A and E⁻¹B"
         )
 
 
 def refuse_delays(name: str, held: Mapping[str, object]) -> None:
-    """Raise an error for delays."""
+    """Raise an error if a system has delays."""
     for delay in DELAYS:
         if np.any(np.asarray(held.get(delay, 0.0), dtype=np.float64)):
             raise ProblemError(

@@ -1,4 +1,4 @@
-"""Policy steps as data: the computations, decisions and packets of the nodes within a sampling step.
+"""Policy steps as data: what nodes compute, decide and send within a sampling step.
 
 A policy is a list of these steps. A node assigns sums Σ matrix·signal (``Assign``), quadratic forms (``Evaluate``),
 results of functions (``Apply``) and random thresholds (``Draw``); it decides by a trigger (``Decide``), and sends
@@ -33,14 +33,14 @@ ONE = "one"
 
 @dataclass(frozen=True, repr=False)
 class Received(Displayed):
-    """The condition "a packet of this link arrived", available at the receiving node."""
+    """The condition "a packet arrived on this link", which the receiving node can check."""
 
     link: str
 
 
 @dataclass(frozen=True, repr=False)
 class Acknowledged(Displayed):
-    """The condition "my packet on this link arrived", available at the sender if the network acknowledges packets."""
+    """The condition "my packet on this link arrived", which a sender can check if the network acknowledges packets."""
 
     link: str
 
@@ -51,7 +51,7 @@ Terms: TypeAlias = Mapping[str, Matrix]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Assign(Displayed):
-    """An assignment signal := Σ matrix·signal at a node; with ``on``, one sum for each outcome of the condition.
+    """Policy step signal := Σ matrix·signal at a node. With ``on``, there is one sum for each outcome of a condition.
 
     Args:
         at: the node that computes the sum.
@@ -80,12 +80,14 @@ class Assign(Displayed):
         )
         if (on is None) != (len(checked) == 1):
             raise ProblemError(
-                f"{signal} has {len(checked)} branches and the condition {on}; expected one branch without a "
-                "condition, or several branches that depend on a condition"
+                f"the step that computes {signal} has {len(checked)} branches and the condition {on}; expected one "
+                "branch without a condition, or several branches that depend on a condition"
             )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:
-            raise ProblemError(f"the terms of {signal} have {sorted(rows)} rows; expected equal numbers of rows")
+            raise ProblemError(
+                f"the matrices that compute {signal} have {sorted(rows)} rows; expected equal numbers of rows"
+            )
         object.__setattr__(self, "at", at)
         object.__setattr__(self, "signal", signal)
         object.__setattr__(self, "branches", checked)
@@ -93,13 +95,13 @@ class Assign(Displayed):
 
     @property
     def size(self) -> int:
-        """Number of entries of the signal."""
+        """Number of entries of the signal that is assigned."""
         return next(shape_of(value)[0] for terms in self.branches for value in terms.values())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluate(Displayed):
-    """An assignment of a quadratic form to a scalar signal at a node; with ``on``, one form for each outcome."""
+    """Policy step that evaluates a quadratic form at a node. With ``on``, each outcome of a condition has its form."""
 
     at: str
     signal: str
@@ -110,14 +112,14 @@ class Evaluate(Displayed):
         """Check the number of forms."""
         if (self.on is None) != (len(self.forms) == 1):
             raise ProblemError(
-                f"{self.signal} has {len(self.forms)} forms and the condition {self.on}; "
+                f"the step that computes {self.signal} has {len(self.forms)} forms and the condition {self.on}; "
                 "expected one form without a condition, or several forms that depend on a condition"
             )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Apply(Displayed):
-    """A nonlinear assignment signals := function(signals) at a node, such as an extended Kalman filter.
+    """Policy step that evaluates a nonlinear function of signals at a node, such as an extended Kalman filter.
 
     The function is NumPy code. It is traced once into the operations that run in simulation, in nodes and on devices,
     so it must use ``np.where`` instead of ``if``.
@@ -148,13 +150,18 @@ class Apply(Displayed):
     def __post_init__(self) -> None:
         """Validate and store the arguments."""
         if not self.signals:
-            raise ProblemError(f"a function at {self.at} has no results; expected signals and their sizes")
+            raise ProblemError(
+                f"a function at the node {self.at} has no results; expected the signals that it computes, and their "
+                "sizes"
+            )
         names = ", ".join(self.signals)
         if not callable(self.function):
-            raise ProblemError(f"the function of {names} is {quoted(self.function)}; expected a Python function")
+            raise ProblemError(
+                f"the function that computes {names} is {quoted(self.function)}; expected a Python function"
+            )
         if isinstance(self.reads, str) or not self.reads:
             raise ProblemError(
-                f"the function of {names} reads {self.reads!r}; expected a tuple with at least one signal"
+                f"the function that computes {names} reads {self.reads!r}; expected a tuple with at least one signal"
             )
         sizes = {name: count(f"the number of entries of {name}", size) for name, size in self.signals.items()}
         object.__setattr__(self, "signals", sizes)
@@ -163,7 +170,7 @@ class Apply(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Draw(Displayed):
-    """A random signal ξ drawn from the exponential distribution with mean 1 at a node, unknown to other nodes.
+    """Policy step that draws an exponential random number ξ with mean 1 at a node; other nodes do not know ξ.
 
     A trigger that compares a form q with ξ stays silent with probability e^{−q}.
     """
@@ -174,7 +181,7 @@ class Draw(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decide(Displayed):
-    """A decision at a node: the label that the trigger selects."""
+    """Policy step in which a node decides: its trigger selects one of several labels."""
 
     at: str
     decision: str
@@ -183,7 +190,7 @@ class Decide(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Send(Displayed):
-    """A packet on a link; with ``on``, sent only if the decision is one of ``labels`` (default: all but the first)."""
+    """Policy step that sends a packet on a link; with ``on``, only if the decision selects one of ``labels``."""
 
     at: str
     link: str
@@ -192,7 +199,7 @@ class Send(Displayed):
     labels: tuple[str, ...] = ()
 
     def sending(self, labels: tuple[str, ...]) -> tuple[str, ...]:
-        """Return those labels of its decision for which the packet is sent."""
+        """Return those labels of the decision with which a packet is sent."""
         return self.labels or labels[1:]
 
 
@@ -200,17 +207,17 @@ Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 
 
 def site_of(node: str, sites: Sequence[frozenset[str]]) -> frozenset[str]:
-    """Return the nodes at the same site as a node; a node that is in none of the given sites is alone."""
+    """Return all nodes at the site of a node. A node that is in none of the ``sites`` is alone."""
     return next((site for site in sites if node in site), frozenset({node}))
 
 
 def condition_of(step: Step) -> Condition | None:
-    """Return the condition that selects a branch of a policy step, or None if there is none."""
+    """Return the condition that selects a branch of a policy step; None if the step has only one."""
     return step.on if isinstance(step, Assign | Evaluate) else None
 
 
 def assigned(step: Step) -> Mapping[str, int]:
-    """Return the number of entries of each signal that a policy step assigns, by name."""
+    """Return the signals that a policy step assigns, each with its number of entries."""
     if isinstance(step, Assign):
         return {step.signal: step.size}
     if isinstance(step, Evaluate | Draw):
@@ -219,7 +226,7 @@ def assigned(step: Step) -> Mapping[str, int]:
 
 
 def read(step: Step) -> list[str]:
-    """Return the names of the signals that a policy step reads, in order."""
+    """Return the names of the signals that a policy step reads, in their order."""
     if isinstance(step, Assign):
         return [name for terms in step.branches for name in terms]
     if isinstance(step, Evaluate):
@@ -234,7 +241,7 @@ LONGEST = 1_000_000  # steps for which several locations are followed jointly; l
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Location(Displayed):
-    """A discrete state (location), whose next value is table[location], or table[location, outcome of ``on``].
+    """A discrete state, such as a step counter. Its next value is table[state], or table[state, outcome of ``on``].
 
     Args:
         name: name by which tables refer to the location.
@@ -277,15 +284,15 @@ class Location(Displayed):
 
     @property
     def period(self) -> int:
-        """Steps after which the location repeats; 1 if the location depends on decisions or packets."""
+        """Number of steps after which the discrete state repeats; 1 if it depends on decisions or packets."""
         return joint_cycle([self], {})
 
 
 def joint_cycle(locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> int:
-    """Return the number of steps after which all locations that are independent of data repeat.
+    """Return the number of steps after which all discrete states that do not depend on data repeat together.
 
-    Such a location has no condition, has equal columns in every state that it reaches, or depends on a decision whose
-    options are constants or tables selected by such locations. Other locations are ignored.
+    A location does not depend on data if it has no condition, has equal columns in every state that it reaches, or
+    depends on a decision whose options are constants or tables selected by such locations. Other locations are ignored.
     """
     named = {location.name: location for location in locations}
     return math.lcm(*(_period(location, named, triggers) for location in named.values()))
@@ -298,7 +305,7 @@ def _period(location: Location, named: Mapping[str, Location], triggers: Mapping
 
 
 def walk(locations: Sequence[Location], triggers: Mapping[str, Trigger]) -> tuple[list[tuple[int, ...]], int] | None:
-    """Return the places of locations in each step until they repeat, and the step from which they do; None by data."""
+    """Return the values of discrete states until they repeat, and from which step they do; None if data decide."""
     here = tuple(one.initial for one in locations)
     visited: dict[tuple[int, ...], int] = {}
     while here not in visited:
@@ -312,7 +319,7 @@ def walk(locations: Sequence[Location], triggers: Mapping[str, Trigger]) -> tupl
 
 
 def placed(locations: Iterable[Location], here: Iterable[int]) -> Mapping[str, int]:
-    """Return the places of locations by name."""
+    """Return the values of the discrete states, by name."""
     return {one.name: place for one, place in zip(locations, here, strict=True)}
 
 
@@ -326,7 +333,7 @@ def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, 
 
 
 def option_at(trigger: Trigger, places: Mapping[str, int]) -> int:
-    """Return the index of the option that a trigger of constants selects, given the places of all locations."""
+    """Return the index of the label that a trigger with constant forms selects for given values of discrete states."""
     constants = [form.constant for form in trigger.options.values()]
     values = [float(c.values[places[c.by]]) if isinstance(c, Scheduled) else c for c in constants]
     return values.index(min(values))
@@ -343,7 +350,7 @@ def _deciders(location: Location, named: Mapping[str, Location], triggers: Mappi
 
 
 def fixed_choices(decision: str, locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> list[str] | None:
-    """Return the labels that a decision selects until they repeat, twice, or None if they depend on data."""
+    """Return the labels that a decision selects, until the end of the second period; None if data decide."""
     trigger, named = triggers[decision], {location.name: location for location in locations}
     if trigger.reads or trigger.limit is not None:
         return None

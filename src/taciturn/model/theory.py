@@ -1,4 +1,4 @@
-"""The theory of a policy: the cost it was designed for, its bounds, identities and closed forms."""
+"""The theory of a policy: the cost of its design, and the bounds, identities and closed forms that hold."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY
 from taciturn.model.estimate import Estimate
+from taciturn.model.silence import SilenceCost
 from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
@@ -43,6 +44,7 @@ class Guarantee(Displayed):
             of the theorem for exact gains, computed in doubles.
         more_sends: whether the bound also holds if packets are sent in further steps, since it limits the cost of each
             silent step and a packet ends silence.
+        every_path: whether the bound holds on every path, with the cost of sending every sample on that path.
     """
 
     cost: float
@@ -55,9 +57,10 @@ class Guarantee(Displayed):
     more_sends: bool = False
     pull: float = 0.0
     proved: bool = False
+    every_path: bool = False
 
     def upwards(self) -> Guarantee:
-        """Return the bound with each of its numbers rounded upwards, past the rounding of its sums and products."""
+        """Round all numbers of the bound up, because their computation has rounding errors."""
         return replace(
             self,
             cost=rounded_up(self.cost),
@@ -67,7 +70,7 @@ class Guarantee(Displayed):
         )
 
     def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
-        """Return the bound that depends on the rates, with the error that the errors of the rates cause.
+        """Return the bound for given send rates, with a standard error that follows from those of the rates.
 
         Args:
             rates: sends per step, by link.
@@ -100,22 +103,22 @@ class Guarantee(Displayed):
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
 
     def _with_silence(self, added: float) -> float:
-        """Return the bound for what silence adds, rounded upwards if it is proved."""
+        """Return the bound for the cost that silence adds, rounded upwards if it is proved."""
         assert self.base is not None, "only such a bound depends on the rate"
         bound = with_silence(self.base, added, self.pull)
         return rounded_up(bound) if self.proved else bound
 
     def _of(self, rates: Mapping[str, float]) -> float:
-        """Return the bound with S = (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
+        """Return the bound with S = (Σ√(δ(1 − r)))², where the silence of a group is at most the sum over its links."""
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
         added = sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
         return self._with_silence(added)
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
+        """Return the bound base + per_silence·(1 − rate), for a rate in sends per step.
 
-        It is None if there is no such bound, or if the bound depends on the rates of several links (``at_rates``).
+        The result is None if there is no such bound, or if it depends on the rates of several links (``at_rates``).
         """
         if self.base is None or self.deciders:
             return None
@@ -123,21 +126,21 @@ class Guarantee(Displayed):
 
 
 def with_silence(base: float, added: float, pull: float) -> float:
-    """Return the bound base + S + 2γ√S, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
+    """Return the bound base + S + 2γ√S with S = ``added`` and γ = ``pull``, the attribute of ``Guarantee``."""
     return base + added + 2 * pull * sqrt(max(added, 0.0))
 
 
 def rounded_up(value: float) -> float:
-    """Return a number above a computed sum or product of at most sixteen non-negative numbers, in spite of rounding.
+    """Round a computed sum or product of at most sixteen nonnegative numbers up, to a proven upper bound.
 
-    It is the number itself if the sum or product is 0.
+    The bound is 0 if the sum or product is 0.
     """
     return value + abs(value) * OPERATIONS
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorGain(Displayed):
-    """The effect of silence on a link, which adds an error to the value that a packet would carry.
+    """Effect on the cost of a link that does not send, because the receiver's value then has an error.
 
     On every path, the root of the cost per step is at most that of sending every sample plus a sum over all links:
     ``gain`` times the root mean square of the error.
@@ -153,7 +156,7 @@ class ErrorGain(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identity(Displayed):
-    """The exact identity cost = constant + E[form] from completion of squares, used to estimate the cost.
+    """The exact identity cost = constant + E[form], by completion of squares. Simulations estimate the cost with it.
 
     Args:
         constant: part of the cost that no decision changes, in the units of the cost.
@@ -168,7 +171,7 @@ class Identity(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Innovations(Displayed):
-    """The white innovations of a policy's filter, which allow the loop to be simulated without the plant.
+    """White innovations of a policy's filter. With them, the loop can be simulated without its plant.
 
     Args:
         signal: name of the innovations signal, which is white; None if no node computes the innovations.
@@ -187,7 +190,7 @@ class Innovations(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reset(Displayed):
-    """An error e⁺ = A e (1−σ) + w that a send (σ = 1) resets, with A of the model and white noise w.
+    """An error e⁺ = A e (1−σ) + w that a send (σ = 1) resets. A is the matrix of the model, and w is white noise.
 
     Args:
         covariance: covariance of w, (n, n); for a plant with jumps, w is the effect of the jumps.
@@ -201,18 +204,18 @@ class Reset(Displayed):
 
     @property
     def error(self) -> str:
-        """Name of the signal of the policy that equals the error e."""
+        """Name of the signal of the policy that is the error e."""
         return next(iter(self.signals))
 
     @property
     def square(self) -> Array:
-        """Former name of ``weight``."""
+        """The attribute ``weight`` under its former name."""
         return self.weight
 
 
 @dataclass(frozen=True, repr=False)
 class ClosedForm(Displayed):
-    """The exact cost and the exact rates per step of a policy, in closed form.
+    """The exact cost of a policy, and its exact send rates per step, in closed form.
 
     They are known, for example, for a policy whose actions do not depend on the state.
     """
@@ -223,7 +226,7 @@ class ClosedForm(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Linearisation(Displayed):
-    """Theoretical costs of the linearisation of a plant, which do not bound the cost of the nonlinear plant.
+    """Costs of the linearisation of a nonlinear plant. They do not bound the cost of the nonlinear plant.
 
     Args:
         cost_all_time: cost of the linear plant if every sample is sent.
@@ -236,23 +239,24 @@ class Linearisation(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Theory(Displayed):
-    """The known properties of a policy in a loop with the plant, network and cost of its design.
+    """Known properties of a policy. They hold in a loop with the plant, the network and the cost of its design.
 
     Every argument may be omitted. A policy without theory is simulated, run and exported like any other; a study needs
     at least its cost.
 
     Args:
         cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
-        cost_all_time: cost of sending at every step, in the units of the cost, or None if it is unknown.
+        cost_all_time: cost of sending every sample, in the units of the cost, or None if it is unknown.
         cost_all_time_error: proved bound on the error of ``cost_all_time``, which is then the cost of the gains as they
             are stored; None if the error is only estimated.
-        cost_lqg: cost of LQG with the same weights, sending at every step, for a policy that keeps a given controller.
+        cost_lqg: cost of LQG with the same weights, sending every sample, for a policy that keeps a given controller.
         noise_cost: inter-sample noise cost per step of a continuous plant, which no policy can change.
         settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
         recovery: the same without the slow disturbances of the plant, which a fault of a node does not change; default:
             ``settling``.
         guarantee: proven upper bound on the cost, or None.
-        errors: gain and largest error of each link, for a certificate that assumes nothing of the noise.
+        errors: gain and largest error of each link, for a certificate that assumes nothing about the noise.
+        silence: signals in which each node stores the cost of its own silence, by the links that it decides together.
         identity: exact identity for the cost, or None.
         innovations: white innovations of the policy's filter, or None.
         sums: signals that no node computes, as sums of signals of several nodes at the end of a step; identity and
@@ -285,6 +289,7 @@ class Theory(Displayed):
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None
     errors: Mapping[str, ErrorGain] = field(default_factory=lambda: {})
+    silence: Mapping[tuple[str, ...], SilenceCost] = field(default_factory=lambda: {})
     fourth: float | None = None
     sums: Mapping[str, Terms] = field(default_factory=lambda: {})
     recovery: float | None = None
@@ -294,11 +299,11 @@ class Theory(Displayed):
 
     @property
     def recovers(self) -> float:
-        """Time constant in steps with which the loop recovers from a fault of a node."""
+        """Time constant, in steps, with which the loop recovers from a fault of a node."""
         return self.settling if self.recovery is None else self.recovery
 
     def check(self, kind: str, computed: Sequence[str]) -> None:
-        """Check this theory for a policy of a given kind.
+        """Check that the numbers in this theory are valid for a policy of the given kind.
 
         Args:
             kind: name of the policy kind.
@@ -316,27 +321,27 @@ class Theory(Displayed):
         for name, value in costs.items():
             if value is not None and not np.isfinite(value):
                 raise ProblemError(
-                    f"the {name} of {kind} is {value:g}; expected a finite number: "
-                    "scale the problem, or send more often"
+                    f"the {name} of the policy {kind} is {value:g}; expected a finite number: scale the problem, or "
+                    "send more often"
                 )
         if self.cost is None and (self.identity or self.guarantee or self.closed_form):
             raise ProblemError(
-                f"{kind} has an identity, a guarantee or a closed form, but no cost; expected the cost to which "
-                "they refer"
+                f"the theory of the policy {kind} has an identity, a guarantee or a closed form, but no cost; expected "
+                "the cost to which they refer"
             )
         names = ("innovations", "identity", "reset", "closed_form", "guarantee")
         claims = [name for name in names if getattr(self, name) is not None]
         others = [name for name in computed if name not in self.functions]
         if claims and others:
             raise ProblemError(
-                f"{kind} computes {others[0]} by a function and has {claims[0]}, which holds for linear steps only; "
-                f"expected no {claims[0]}"
+                f"the policy {kind} computes {others[0]} by a function, but its theory has {claims[0]}, which holds "
+                f"for linear steps only; expected no {claims[0]}"
             )
 
 
 @dataclass(frozen=True, repr=False)
 class LowerBound(Displayed):
-    """A lower bound on the cost of every send schedule of a controller at a given rate of sends.
+    """A lower bound on the cost of a controller that holds for every schedule with a given send rate.
 
     Args:
         cost: the bound, in units of the cost.
@@ -352,7 +357,7 @@ class LowerBound(Displayed):
     price: float
 
     def at_rate(self, rate: float) -> float:
-        """Return the lower bound on the cost at another rate of sends per step, for the same price per send."""
+        """Return the lower bound for another send rate, per step, at the same price of a send."""
         return self.cost + self.price * (self.rate - rate)
 
 

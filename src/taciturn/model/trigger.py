@@ -1,4 +1,4 @@
-"""Triggers that select the action with the smallest of several quadratic forms."""
+"""Triggers: decisions that select the action with the smallest of several quadratic forms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from taciturn.errors import ProblemError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scheduled(Displayed):
-    """A table of matrices or numbers from which a location selects an entry: ``values[i]`` in state i.
+    """A table of matrices or numbers, from which the value i of a discrete state selects ``values[i]``.
 
     Args:
         by: name of the location, a finite discrete state.
@@ -39,7 +39,7 @@ class Scheduled(Displayed):
             ) from None
         if table.ndim not in (1, 3) or not len(table):
             raise ProblemError(
-                f"the table indexed by {by!r} has shape {table.shape}; expected (locations,) or (locations, "
+                f"the table indexed by {by!r} has shape {table.shape}; expected the shape (locations,) or (locations, "
                 "rows, columns)"
             )
         object.__setattr__(self, "by", by)
@@ -47,7 +47,7 @@ class Scheduled(Displayed):
 
     @property
     def entry_shape(self) -> tuple[int, ...]:
-        """Shape of a single entry of the table."""
+        """Number of rows and columns of each entry of the table."""
         return self.values.shape[1:]
 
 
@@ -56,7 +56,7 @@ Matrix = Array | Scheduled
 
 
 def matrix(name: str, value: ArrayLike | Scheduled) -> Matrix:
-    """Return a read-only two-dimensional matrix; a table of matrices is returned unchanged."""
+    """Convert a value to a read-only matrix. A table of matrices is returned unchanged."""
     if isinstance(value, Scheduled):
         if value.values.ndim != 3:
             raise ProblemError(f"{name} is a table of numbers; expected a table of matrices")
@@ -65,13 +65,13 @@ def matrix(name: str, value: ArrayLike | Scheduled) -> Matrix:
 
 
 def shape_of(value: Matrix) -> tuple[int, ...]:
-    """Return (rows, columns) of a constant or scheduled matrix."""
+    """Return the number of rows and of columns of a matrix, or of the matrices in a table."""
     return value.entry_shape if isinstance(value, Scheduled) else value.shape
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GaussianTerm(Displayed):
-    """The Gaussian term height · exp(−½ η'Πη) of a form.
+    """A Gaussian term of a form: height · exp(−½ η'Πη).
 
     Args:
         height: value of the term at η = 0.
@@ -97,7 +97,7 @@ class GaussianTerm(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Form(Displayed):
-    """A scalar η'Ψη + height·exp(−½η'Πη) + Σ weight·s + constant, with stacked signals η and scalar signals s.
+    """A form η'Ψη + height·exp(−½η'Πη) + Σ weight·s + constant, where η stacks signals and the s are scalar signals.
 
     Args:
         signals: names of the signals stacked in η.
@@ -127,7 +127,7 @@ class Form(Displayed):
         """Validate and store the arguments."""
         if (Psi is None) != (not signals) and not (bell is not None and signals):
             got = f"signals {signals} without Psi" if Psi is None else "Psi without signals"
-            raise ProblemError(f"a form has {got}; expected Psi and signals, or neither of them")
+            raise ProblemError(f"a quadratic form has {got}; expected Psi and signals, or neither of them")
         checked = None if Psi is None else matrix("Psi", Psi)
         if checked is not None:
             values = checked.values if isinstance(checked, Scheduled) else checked
@@ -137,7 +137,9 @@ class Form(Displayed):
                 or np.allclose(values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max(initial=0.0))
             )
             if not same:
-                raise ProblemError(f"Psi for {signals} is not symmetric; expected a symmetric matrix")
+                raise ProblemError(
+                    f"the matrix Psi for the signals {signals} is not symmetric; expected a symmetric matrix"
+                )
             halves = (values + swapped) / 2
             checked = Scheduled(checked.by, halves) if isinstance(checked, Scheduled) else frozen(halves)
         object.__setattr__(self, "signals", signals)
@@ -147,19 +149,20 @@ class Form(Displayed):
         object.__setattr__(self, "plus", weights)
         if bell is not None and not signals:
             raise ProblemError(
-                "a form has a Gaussian term (bell) without signals; expected signals with it, or no Gaussian term"
+                "a quadratic form has a Gaussian term (bell) without signals; expected signals as well, or no "
+                "Gaussian term"
             )
         object.__setattr__(self, "bell", bell)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of all signals that are read."""
+        """Names of all signals in the form."""
         return (*self.signals, *self.plus)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trigger(Displayed):
-    """A decision for the action argmin_j (η'Ψ_j η + c_j); among equal values, the first listed action is selected.
+    """A decision that selects the action j with the smallest η'Ψ_j η + c_j; of several, it selects the first.
 
     Silence is therefore listed first. With a limit, the trigger selects the first listed action whose form is at most
     the limit, and the last action if there is none. An action is excluded while one of certain forms is positive.
@@ -189,28 +192,28 @@ class Trigger(Displayed):
         if len(self.options) < 2:
             raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two options")
         for label in (label for label in self.excluded if label not in self.options):
-            raise ProblemError(f"a trigger excludes {label!r}; expected one of its actions {list(self.options)}")
+            raise ProblemError(f"a trigger excludes {label!r}; expected one of its options {list(self.options)}")
         object.__setattr__(self, "options", dict(self.options))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the actions; among equal values, the first is selected."""
+        """Names of the actions, in order. If two forms are equal, the action that comes first is selected."""
         return tuple(self.options)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of all signals that are read."""
+        """Names of all signals in the forms of the trigger."""
         return tuple(dict.fromkeys(name for form in self.forms for name in form.reads))
 
     @property
     def selected_by(self) -> set[str]:
-        """Names of the locations that select the constants of the options."""
+        """Names of the discrete states that select constants of the forms from tables."""
         constants = [form.constant for form in self.options.values()]
         return {constant.by for constant in constants if isinstance(constant, Scheduled)}
 
     @property
     def forms(self) -> tuple[Form, ...]:
-        """All forms: those of the actions, and those that exclude actions."""
+        """All forms of the trigger: those that are compared, and those that exclude an action."""
         return (*self.options.values(), *(form for forms in self.excluded.values() for form in forms))
 
 

@@ -1,4 +1,4 @@
-"""The wire format: the layout of a datagram as one table, and the rounding of numbers for transmission."""
+"""The wire format: a table of the fields of a datagram, and the quantisation of the numbers in packets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PERSON = b"taciturn"  # BLAKE2s personalisation string of tags and fingerprints
 
 
 class FieldOfHeader(NamedTuple):
-    """A field of the datagram header."""
+    """One field in the header of a datagram."""
 
     name: str  # name of the field
     code: str  # format character of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes
@@ -74,7 +74,7 @@ _PLACE = struct.Struct(
 
 @dataclass(frozen=True, repr=False)
 class Encoding(Displayed):
-    """The encoding of the entries of a payload."""
+    """The number format of the entries in a packet's payload."""
 
     name: EncodingName = "float64"  # ``"float64"``
     full_scale: tuple[float, ...] = ()  # range of each entry; only with ``"int16"``
@@ -85,7 +85,7 @@ class Encoding(Displayed):
         if (self.name == "int16") != bool(self.full_scale):
             got = "without" if self.name == "int16" else "with"
             raise ProblemError(
-                f"the encoding {self.name} is given {got} a range; expected a range for int16, and none for other "
+                f"the encoding {self.name} is given {got} a range; expected a range for int16, and no range for other "
                 "encodings"
             )
         scale = array("the range of an encoding", self.full_scale, (None,))
@@ -94,7 +94,7 @@ class Encoding(Displayed):
         object.__setattr__(self, "full_scale", tuple(float(value) for value in scale))
 
     def parts(self, sizes: Sequence[int]) -> list[Encoding]:
-        """Return the encodings of consecutive signals of a payload; a single range applies to all entries."""
+        """Split the encoding of a payload into one encoding per signal. A single range applies to all entries."""
         entries = sum(sizes)
         if self.name != "int16":
             return [self] * len(sizes)
@@ -108,7 +108,7 @@ class Encoding(Displayed):
         return [Encoding("int16", each[begin:end]) for begin, end in pairwise(ends)]
 
     def rounded(self, values: ArrayLike) -> Array:
-        """Return values rounded by an encoding, as the receiver decodes them."""
+        """Round values as this encoding does: return the values that a receiver decodes."""
         exact = np.asarray(values, dtype=np.float64)
         if self.name == "float32":
             return exact.astype(np.float32).astype(np.float64)
@@ -119,10 +119,10 @@ class Encoding(Displayed):
 
 
 def fits(values: Iterable[float]) -> bool:
-    """Return whether payloads carry all of these numbers: none is infinite, NaN, or larger than ``LARGEST``."""
+    """Return whether a payload can contain all of these numbers: finite ones, of at most ``LARGEST`` in size."""
     return all(-LARGEST <= value <= LARGEST for value in values)
 
 
 def read_place(datagram: bytes) -> tuple[int, int, int, int]:
-    """Return sequence, kind, loop and step without checks from a datagram that is at least as long as a header."""
+    """Read sequence number, kind, loop and step from a datagram with a complete header. Nothing else is checked."""
     return _PLACE.unpack_from(datagram)

@@ -1,4 +1,4 @@
-"""Nodes that run a policy on packets: pure state machines, the packet format, and keys.
+"""Nodes that run a policy by exchanging packets: pure state machines, the packet format, and secret keys.
 
 A node is a state machine that uses no socket, no time and no thread. Its inputs are packets and, at the sensor, a
 measurement. Its outputs are packets and, at the actuator, the plant input. Simulations, tests and real networks run the

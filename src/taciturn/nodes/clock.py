@@ -1,4 +1,4 @@
-"""Timing of steps in real time: the time at which step 0 began is estimated from arriving packets.
+"""Timing of steps in real time: a node estimates from arriving packets when step 0 began.
 
 The wall clocks of nodes are not synchronised. The node with the sensor begins a step when the measurement arrives. The
 other nodes estimate the phase of the steps from the packets that arrive. Drift or adjustment of a wall clock therefore
@@ -14,7 +14,7 @@ LATE = 0.25  # offset in steps beyond which a packet is later than the drift of 
 
 
 class Phase:
-    """An estimate of the time at which step 0 began, from the arrival times of packets."""
+    """Estimate of the time at which step 0 began, from the arrival times of packets."""
 
     # A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
     # the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows
@@ -32,11 +32,11 @@ class Phase:
 
     @property
     def known(self) -> bool:
-        """True if any packet has arrived."""
+        """True if there is an estimate, because a packet has arrived."""
         return self.zero == self.zero
 
     def hear(self, tick: int, now: float) -> bool:
-        """Update the estimate with a packet of a step received now; return whether that step can have begun."""
+        """Update the estimate when a packet arrives. Return False if the packet's step cannot have begun yet."""
         found = now - tick * self.tick
         if not self.known:
             self._confirm(0.0)
@@ -77,9 +77,9 @@ class Phase:
             self._behind, self._least = 0, float("inf")
 
     def begins(self, tick: int) -> float:
-        """Return the time at which a step begins."""
+        """Compute the time at which a step begins."""
         return self.zero + tick * self.tick
 
     def now(self, time: float) -> int:
-        """Return the number of the step at a given time."""
+        """Compute the number of the step that is running at a given time."""
         return int((time - self.zero) // self.tick)

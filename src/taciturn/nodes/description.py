@@ -1,4 +1,4 @@
-"""A description of a policy's packets and nodes as JSON, from which a program in another language can be written.
+"""Description of a policy's nodes and packets as JSON, with which nodes in other languages can be written.
 
 It has the layout of the header, the payload of each packet, and for each node its inputs, memories and outputs with the
 operations of its program (``program.ops``), in which constants and tables stand where they are read. So a few dozen
@@ -30,7 +30,7 @@ _DESCRIBED = 1  # version of the description
 
 
 def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, Any]:
-    """Return the header, the packets and the nodes of a policy as values that JSON can represent.
+    """Describe a policy's packets, their header, and its nodes, with values that JSON can represent.
 
     Args:
         policy: the policy that the nodes run.

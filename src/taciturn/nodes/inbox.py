@@ -1,4 +1,4 @@
-"""Handling of packets that arrive at a node, with a counter for each way in which a packet can be handled.
+"""Handling of the packets that arrive at a node. Each case, such as a late or repeated packet, is counted.
 
 | packet | counter and handling |
 |---|---|
@@ -13,7 +13,7 @@
 
 The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
 decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
-"""  # noqa: E501  # the rows of a table
+"""  # noqa: E501  # the rows of a ta"""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the pac
 
 
 class Window:
-    """A window over the received sequence numbers of one sender."""
+    """Record of the sequence numbers received from one sender, to detect repeated and missing packets."""
 
     # The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
     # behind the newest packet by the width of the window or more.
@@ -47,11 +47,13 @@ class Window:
 
     @property
     def missing(self) -> int:
-        """Number of packets of this epoch, up to the newest, that have not arrived: dropped or delayed."""
+        """Number of packets in this epoch, up to the newest one, that have not arrived, because they are late or
+        dropped.
+        """
         return self.newest + 1 - self.distinct
 
     def admit(self, epoch: int, sequence: int) -> News:
-        """Record a packet, and return whether it is new."""
+        """Record a packet, and return whether it is new, a repetition, or too old to tell."""
         if epoch < self.epoch:
             return "replayed"
         if epoch > self.epoch:
@@ -70,17 +72,17 @@ class Window:
         return "new"
 
     def save(self) -> list[int]:
-        """Return the window as a list of numbers."""
+        """Return the record as a list of numbers, to save it."""
         return [self.epoch, self.newest, self.seen, self.distinct]
 
     def restore(self, saved: list[int]) -> None:
-        """Continue from a saved window."""
+        """Continue from a saved record."""
         self.epoch, self.newest, self.seen, self.distinct = saved
 
 
 @dataclass(repr=False)
 class Stream(Displayed):
-    """The packets of one kind on one link."""
+    """All packets of one kind that a node receives on one link."""
 
     lag: int  # number of steps between the step of a packet and the step that reads it
     at: int  # index of the first of its inputs of the node: whether a packet arrived, followed by the payload
@@ -95,12 +97,12 @@ class Stream(Displayed):
 
 
 def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
-    """Return the packets that a node receives, by kind and link."""
+    """Create the streams of packets that a node receives: one for each kind of packet and each link."""
     return {(a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind == "measurement") for a in arrivals}
 
 
 class Inbox:
-    """The received packets of a node."""
+    """Stores the packets that a node has received, until the step that reads them."""
 
     def __init__(
         self,
@@ -120,16 +122,16 @@ class Inbox:
 
     @property
     def links(self) -> list[str]:
-        """The links on which packets arrive."""
+        """Links on which the node receives packets."""
         return [link for _, link in self.streams]
 
     @property
     def waiting(self) -> int:
-        """Number of packets that are waiting for their step."""
+        """Number of packets that have arrived early and wait for their step."""
         return sum(len(stream.waiting) for stream in self.streams.values())
 
     def take(self, packet: Packet, past: int) -> Handling:
-        """Store a packet after the step ``past``, and return how it was handled."""
+        """Store a packet that arrives after step ``past``, and return how it was handled, such as "misdirected"."""
         self.counters["received"] += 1
         stream = self.streams.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.back == self._back.get(packet.link)
@@ -138,8 +140,8 @@ class Inbox:
             return "misdirected"
         if stream is not None and (len(packet.values) != stream.size or not fits(packet.values)):
             raise ProblemError(
-                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
-                f"{stream.size} finite numbers, none beyond {LARGEST:.2g}"
+                f"a packet of kind {packet.kind} on the {packet.link} link contains the numbers {packet.values}; "
+                f"expected {stream.size} finite numbers of at most {LARGEST:.2g} in magnitude"
             )
         window = self.marks[packet.link] if stream is None else stream.window
         begun = window.epoch
@@ -163,21 +165,25 @@ class Inbox:
         return "late"
 
     def settled(self, link: str, tick: int) -> bool:
-        """Return whether the packet of a step has arrived or will not be sent."""
+        """Check whether a step's packet has arrived, or the sender has reported that it sends no packet in this
+        step.
+        """
         return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
     def finished(self, link: str, tick: int) -> bool:
-        """Return whether the sender has finished a step, and every mark up to its newest one has arrived."""
+        """Check whether a sender has finished a step, and all its marks (end-of-step messages) have arrived."""
         # In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
         return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
 
     def given(self, tick: int) -> bool:
-        """Return whether the set-points of a step have arrived, if the node is given any."""
+        """Check whether the set-points of a step have arrived. True also for a node that does not receive
+        set-points.
+        """
         stream = self.streams.get(("measurement", SETPOINT))
         return stream is None or tick in stream.waiting
 
     def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
-        """Copy the packets that a part of a step reads to the inputs; return the packets that arrived in time."""
+        """Copy packets for this part of the step to the inputs of the program. Return those that arrived in time."""
         found: list[Packet] = []
         for stream in self.streams.values():
             if stream.part != part:
@@ -216,7 +222,7 @@ class Inbox:
                 inputs[stream.at : stream.at + 1 + stream.size] = (1.0, *packet.values)
 
     def forget(self, link: str) -> None:
-        """Begin new windows for the packets of a link, whose sender has begun another epoch."""
+        """Forget the sequence numbers received on a link. Called when the sender starts a new epoch."""
         for (_, of), stream in self.streams.items():
             if of == link:
                 self._forget(stream)
@@ -225,7 +231,7 @@ class Inbox:
             self.marks[link], self.marked[link] = Window(), -1
 
     def save(self) -> dict[str, Any]:
-        """Return the state of the inbox as values that JSON can represent."""
+        """Return the state of the inbox, as values that JSON can represent, to save it."""
         streams = {
             " ".join(name): {
                 "window": stream.window.save(),
@@ -240,7 +246,7 @@ class Inbox:
         return {"channels": streams, "marks": marks, "marked": dict(self.marked)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from a saved state."""
+        """Restore a saved state of the inbox."""
         for name, stream in self.streams.items():
             kept = saved["channels"][" ".join(name)]
             stream.window.restore(kept["window"])
@@ -280,6 +286,6 @@ class Inbox:
 
 
 def packet_of(saved: Sequence[Any]) -> Packet:
-    """Return the packet with the given saved fields."""
+    """Restore a packet from the values with which it was saved."""
     kind, link, tick, sequence, values, *rest = saved
     return Packet(kind, link, tick, sequence, tuple(values), *rest)

@@ -1,4 +1,4 @@
-"""Secrets that authenticate the packets of each link, from a file or from the environment.
+"""Secret keys that authenticate the packets of each link. They are read from a file or from the environment.
 
 A file contains one line ``LINK: KEY`` for each link that a process uses, with hexadecimal digits, or one line ``KEY``
 for all links. A line may contain several keys: the first authenticates the packets that the process sends, and the
@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from taciturn._files import read_text, why_unreadable
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 KEY, _LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
@@ -24,7 +25,7 @@ _EVERY = ""  # name under which a key for all links is stored
 
 
 class Keys:
-    """The keys of each link.
+    """The secret keys of each link, which authenticate its packets.
 
     Args:
         links: keys by link; the first of a link authenticates the packets that are sent. The keys of ``plant`` are also
@@ -47,17 +48,18 @@ class Keys:
         for key in (key for keys in self._links.values() for key in keys):
             if not _LEAST_KEY <= len(key) <= MOST_KEY:
                 raise ProblemError(
-                    f"{source} holds {len(key)} bytes; expected {_LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
+                    f"{source} has {number_of(len(key), 'byte')}; expected {_LEAST_KEY} to {MOST_KEY} bytes: use "
+                    "`openssl rand -hex 32`"
                 )
 
     @staticmethod
     def same(key: bytes) -> Keys:
-        """Return one key for all links."""
+        """Use the same key for all links."""
         return Keys({_EVERY: (key,)})
 
     @staticmethod
     def parse(text: str, source: str = "the text") -> Keys:
-        """Return the keys in a text.
+        """Read the keys of the links from text, such as the contents of a key file.
 
         Raises:
             ProblemError: a line has another form, or a key is too short or too long.
@@ -75,8 +77,8 @@ class Keys:
                 )
             if links and _EVERY in (link, *links):
                 raise ProblemError(
-                    f"{source} has a key for all links and keys of single links; expected one line KEY, or a line "
-                    "LINK: KEY for each link"
+                    f"{source} has both a key for all links and keys for single links; expected one line KEY, or a "
+                    "line LINK: KEY for each link"
                 )
             links[link] = tuple(_key(word, source) for word in digits.split())
         if not any(links.values()):
@@ -84,20 +86,20 @@ class Keys:
         return Keys(links, source)
 
     def of(self, link: str) -> tuple[bytes, ...]:
-        """Return the keys of a link; none if it has no key."""
+        """Return the keys of a link. The tuple is empty if the link has none."""
         return next((self._links[one] for one in (link, link.partition("/")[0], _EVERY) if one in self._links), ())
 
     def expect(self, links: Sequence[str]) -> None:
-        """Check that all keys belong to the links of a network.
+        """Check that the links for which there are keys belong to the network.
 
         Raises:
             ProblemError: a key has the name of another link.
         """
         for link in self._links.keys() - {*links, _EVERY}:
-            raise ProblemError(f"{self._source} names the link {link!r}; expected one of {', '.join(links)}")
+            raise ProblemError(f"{self._source} names the link {link!r}; expected one of the links {', '.join(links)}")
 
     def check(self, role: str, links: Iterable[str]) -> None:
-        """Check that the process of a role has a key for each link that it uses, now and after each change of the keys.
+        """Check that there is a key for each link that a process uses. Each change of the keys repeats the check.
 
         Raises:
             ProblemError: a key is missing.
@@ -106,22 +108,22 @@ class Keys:
         for link in self._used[role]:
             if not self.of(link):
                 raise ProblemError(
-                    f"the keys of the {role} contain none for the {link} link, which it uses; expected a line "
-                    f"'{link}: KEY'"
+                    f"the {role} has no key for the {link} link, which it uses; expected a line '{link}: KEY' in the "
+                    "key file"
                 )
 
     def text(self) -> str:
-        """Return the keys as text, for the environment of another process."""
+        """Write the keys as text, which another process reads from its environment."""
         lines = {link: " ".join(key.hex() for key in keys) for link, keys in self._links.items()}
         return "\n".join(f"{link}: {digits}" if link else digits for link, digits in lines.items())
 
     def renew(self) -> str | None:
-        """Read the keys again if their file has changed, and return a message about it."""
+        """Read the keys again if their source has changed; return a message about the change, or None."""
         return None
 
 
 class RenewedKeys(Keys, ABC):
-    """Keys from a source that may change, which ``renew`` reads again after a change."""
+    """Keys from a source that may change. ``renew`` reads the keys again if the source has changed."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         """Read the source."""
@@ -138,7 +140,7 @@ class RenewedKeys(Keys, ABC):
         """Return the keys in the source, by link."""
 
     def renew(self) -> str | None:
-        """Read the keys again if the source has changed; keep the former keys if it is not valid."""
+        """Read the keys again if their source has changed. The old keys stay in use if the new ones are invalid."""
         if 0.0 <= self._clock() - self._looked < _LOOKED:
             return None
         self._looked = self._clock()
@@ -160,7 +162,7 @@ class RenewedKeys(Keys, ABC):
 
 
 class KeyFile(RenewedKeys):
-    """The keys in a file, which ``renew`` reads again after a change."""
+    """Keys from a file. ``renew`` reads the keys again if the file has changed."""
 
     def __init__(self, path: str | Path) -> None:
         """Read the file."""
@@ -197,7 +199,7 @@ class KeyFile(RenewedKeys):
 
 
 def read_keys(path: str | Path | None = None, hosts: Iterable[str] = ()) -> Keys | None:
-    """Return the keys from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set."""
+    """Read the keys from a file, or from the environment variable ``TACITURN_KEY``; return None if there are none."""
     if path is not None:
         return KeyFile(path)
     text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
@@ -217,13 +219,13 @@ def _key(digits: str, source: str) -> bytes:
         return bytes.fromhex(digits)
     except ValueError:
         raise ProblemError(
-            f"{source} contains other characters than hexadecimal digits; expected {2 * _LEAST_KEY} to "
+            f"{source} contains characters that are not hexadecimal digits; expected {2 * _LEAST_KEY} to "
             f"{2 * MOST_KEY} digits"
         ) from None
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host name or address denotes this machine."""
+    """Check whether a host name or an address is that of this machine."""
     if host.lower() == "localhost":
         return True
     try:

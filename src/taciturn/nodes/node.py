@@ -1,4 +1,4 @@
-"""A node of a policy as a state machine: it receives packets, and returns packets and the plant input.
+"""A node of a policy as a state machine: it receives packets, and returns the packets to send and the plant input.
 
 The state machine uses no socket, no time and no thread. A step runs the program of the node's site
 (``program.node``), in one or two parts:
@@ -31,6 +31,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, place_of
 from taciturn.model.policy import Policy, longest_silence
+from taciturn.model.silence import Life, lives_of
 from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.nodes.packet import Packet
@@ -47,14 +48,14 @@ Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
 class Stepped(NamedTuple):
-    """The outputs of a node in a step."""
+    """Output of a node in one step: the packets to send, and the plant input."""
 
     packets: tuple[Packet, ...]  # packets to send
     input: Values | None  # plant input if the node contains the actuator, else None
 
 
 class Node:
-    """A node of a policy: the sensor, the controller, the actuator, or several of them at the same site.
+    """A node of a policy: sensor, controller or actuator, or several of these at the same site.
 
     Args:
         policy: policy that contains the node.
@@ -136,7 +137,7 @@ class Node:
         self.options: dict[Option, float] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a pickle contains: all but the compiled functions."""
+        """Return the contents of a pickle: all but the compiled functions."""
         return {name: value for name, value in vars(self).items() if name not in ("_parts", "_draw")}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
@@ -147,17 +148,17 @@ class Node:
 
     @property
     def measures(self) -> bool:
-        """True if the node contains the sensor, so that each step requires a measurement."""
+        """True if the node measures outputs, so that each step requires a measurement."""
         return self._layout.measured > 0
 
     @property
     def actuates(self) -> bool:
-        """True if the node contains the actuator, so that each step returns the plant input."""
+        """True if the node applies inputs, so that each step returns the plant input."""
         return self._layout.applied is not None
 
     @property
     def memory(self) -> dict[str, list[float]]:
-        """The stored values of the node, by signal name of the policy."""
+        """Values of the signals that the node stores from one step to the next, by the signal's name."""
         found: dict[str, list[float]] = {}
         for state, value in zip(self.program.parts[0].states, self._memory, strict=True):
             if not state.word:
@@ -165,13 +166,20 @@ class Node:
         return found
 
     @property
+    def silence(self) -> tuple[Life, ...]:
+        """Cost that the node has added by not sending, since the node was started; empty if its policy does not compute
+        it.
+        """
+        return lives_of(self.policy.theory.silence, self.memory)
+
+    @property
     def waiting(self) -> int:
-        """Number of packets that wait for their step."""
+        """Number of packets that have arrived early and wait for their step."""
         return self.inbox.waiting
 
     @property
     def readings(self) -> dict[tuple[str, str], Values | None]:
-        """The payload that the last step has read, by kind and link of the packets; None if no packet arrived."""
+        """Payloads that the last step has read, by kind of packet and link; None if no packet arrived."""
         inputs = self._inputs
         return {
             (one.kind, one.link): tuple(inputs[one.at + 1 : one.at + 1 + one.size]) if inputs[one.at] else None
@@ -180,23 +188,25 @@ class Node:
 
     @property
     def remembers(self) -> int:
-        """Number of steps for which an event that the theory does not cover has an effect (seven time constants)."""
+        """Number of steps after which an event outside the theory has a negligible effect: seven time constants."""
         return self._layout.remembers
 
     @property
     def degraded(self) -> bool:
-        """True if the loop still depends on an event that violated an assumption of the policy's theory."""
+        """True if an event that violates an assumption of the theory still affects the loop."""
         return self.tick < self._degraded_until
 
     @property
     def silent_links(self) -> tuple[str, ...]:
-        """The links whose watchdog has expired: neither data nor a mark has arrived within the limit of the link."""
+        """Links whose watchdog has expired, because neither a packet nor a mark (heartbeat) arrived within the time
+        limit.
+        """
         late = {link for link, limit in self.limits.items() if self.tick - self._heard_at[link] >= limit}
         return tuple(link for link in self._heard_at if self._unheard or link in late)
 
     @property
     def silent(self) -> bool:
-        """True if the watchdogs of all links have expired."""
+        """True if the watchdogs of all links on which the node receives packets have expired."""
         return bool(self._heard_at) and len(self.silent_links) == len(self._heard_at)
 
     def step(
@@ -206,7 +216,8 @@ class Node:
         packets: Iterable[Packet] = (),
         draws: Sequence[float] | None = None,
     ) -> Stepped:
-        """Execute one step.
+        """Execute one step of the policy with a measurement and packets; return the packets to send and the plant
+        input.
 
         If the step is not later than the last one, the node does not execute it again. If steps were missed, a node
         without a sensor first executes them without packets, a node with a sensor skips them, and the node is degraded.
@@ -248,7 +259,7 @@ class Node:
         return Stepped(tuple(sent), self._output())
 
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
-        """Return the marks, which report to all receivers that this node is running and has finished the step.
+        """Create marks: packets that tell each receiver that this node is running and has finished the step.
 
         Args:
             every: number of steps without a packet on a link after which a mark is sent; 0: in every step.
@@ -258,21 +269,21 @@ class Node:
         return tuple(self._packet("mark", link, back=link in self.acknowledges) for link in due)
 
     def sort_in(self, packet: Packet) -> Handling:
-        """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
+        """Store a packet for a later step, and return how it was handled. ``step`` does this for its own packets."""
         handling = self.inbox.take(packet, self.tick)
         if handling in USABLE and packet.link in self._heard_at:
             self._heard_at[packet.link], self._unheard = self.tick + 1, False
         return handling
 
     def expire(self) -> Values | None:
-        """Record that the watchdog has expired while no step begins; return the safe input unless the last is held."""
+        """Record that the watchdog expired between steps. Return the safe input, or None to hold the last input."""
         if not self._unheard:
             known, self._unheard = self.silent_links, True
             self._mind_silence(known)
         return self._safe if self.actuates else None
 
     def save(self) -> dict[str, Any]:
-        """Return the complete state of the node as values that JSON can represent, with their digest."""
+        """Return the complete state of the node and its digest, as values that JSON can represent, to save them."""
         return sealed({
             "format": FORMAT, "fingerprint": f"{self.fingerprint:016x}", "role": self.role, "loop": self.loop,
             "epoch": self.epoch, "tick": self.tick, "memory": list(self._memory), "generator": list(self._generator),
@@ -283,11 +294,11 @@ class Node:
         })  # fmt: skip
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from a saved state.
+        """Restore a saved state of the node.
 
         Raises:
             ProblemError: this is not a saved state, it was changed, or it belongs to another release, policy, role or
-                loop. The node is then as before.
+                loop. The node then keeps its former state.
         """
         try:
             known = {"format": FORMAT, "role": self.role, "loop": self.loop, "fingerprint": f"{self.fingerprint:016x}"}
@@ -295,7 +306,7 @@ class Node:
                 if saved[name] != expected:
                     of = "this release: start the node without the state" if name == "format" else "this node"
                     raise ProblemError(
-                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}, as for {of}"
+                        f"the entry {name} of the saved state is {saved[name]!r}; expected {expected!r}, as for {of}"
                     )
             check_seal(saved, "the given state")
             if len(saved["memory"]) != len(self._memory) or len(saved["inputs"]) != len(self._inputs):
@@ -326,8 +337,8 @@ class Node:
             found = ()
         if len(found) != self._layout.measured or not fits(found):
             raise ProblemError(
-                f"the measurement of the {self.role} is {measurement}; expected {self._layout.measured} finite numbers "
-                f"at each step, none beyond {LARGEST:.2g}"
+                f"the measurement of the {self.role} is {measurement}; expected {self._layout.measured} finite "
+                f"numbers of at most {LARGEST:.2g} in magnitude at each step"
             )
         return found
 
@@ -416,7 +427,7 @@ class Node:
         return self._safe if self.silent and self._safe is not None else self._input
 
     def _degrade(self, reason: str, tick: int | None = None, counted: bool = True) -> None:
-        """Record an event, counted once, whose effect on the loop lasts from a step (default: the last one)."""
+        """Record an event, counted once, whose effect on the loop lasts from a step on (default: the last step)."""
         self.reasons[reason] += counted
         self._degraded_until = max(
             self._degraded_until, (self.tick if tick is None else tick) + 1 + self._layout.remembers
@@ -458,12 +469,12 @@ def _safe_input(safe: Safe, inputs: int) -> Values | None:
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values that JSON can represent, with their digest."""
+    """Add a digest to saved values, by which a later change is detected."""
     return {**content, _SEAL: _digest(content)}
 
 
 def check_seal(saved: Mapping[str, Any], name: str) -> None:
-    """Check the digest of saved values."""
+    """Check with the digest that saved values have not been changed."""
     if saved.get(_SEAL) != _digest({key: value for key, value in saved.items() if key != _SEAL}):
         raise ProblemError(
             f"{name} is not a saved state of a node, or it was changed after it was saved (its digest differs); "

@@ -1,4 +1,4 @@
-"""Packets as bytes: encoding, checking and decoding; ``taciturn.model.wire`` contains a table of the layout.
+"""Packets as bytes: encoding, checking and decoding. ``taciturn.model.wire`` contains a table of the layout.
 
     datagram = header | payload | CRC | tag, with a key
 
@@ -57,7 +57,7 @@ _KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
 
 
 class Packet(NamedTuple):
-    """A packet between nodes, or between a node and the plant.
+    """A packet from one node to another, or between a node and the plant.
 
     Args:
         kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
@@ -85,7 +85,7 @@ class Packet(NamedTuple):
 
 
 class Wire:
-    """An encoder and decoder of the packets of one policy.
+    """Encodes and decodes the packets of one policy.
 
     Args:
         policy: policy whose nodes exchange the packets.
@@ -132,7 +132,7 @@ class Wire:
         self._used = {link for _, link in shapes}
 
     def encode(self, packet: Packet) -> bytes:
-        """Return a packet as a datagram.
+        """Encode a packet as a datagram.
 
         Raises:
             ProblemError: the policy has no packets of this kind and link, or a value is not finite or beyond 3.4e38.
@@ -146,24 +146,24 @@ class Wire:
             if shape is not None:
                 expected = f"{shape.entries} finite numbers, none beyond {LARGEST:.2g}"
             raise ProblemError(
-                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
-                f"{expected}"
+                f"a packet of kind {packet.kind} on the {packet.link} link contains the numbers {packet.values}; "
+                f"expected {expected}"
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
     def with_keys(self, keys: Keys | None) -> Self:
-        """Return an encoder and decoder of the same packets with other keys."""
+        """Return an encoder of the same packets that authenticates them with other keys."""
         other = copy.copy(self)
         other.keys = keys
         return other
 
     @property
     def keyed(self) -> bool:
-        """True if packets are authenticated."""
+        """True if keys authenticate the packets."""
         return self.keys is not None
 
     def decode(self, datagram: bytes) -> Packet | str:
-        """Return the packet in a datagram, or the reason why the datagram is rejected.
+        """Decode a datagram. Return its packet, or the reason why it is rejected.
 
         ``"malformed"``: the length or a field is invalid, or a number is not finite or beyond 3.4e38. ``"corrupted"``:
         the CRC is wrong. ``"foreign"``: the version or the policy differs, or only one of sender and receiver uses a

@@ -1,4 +1,4 @@
-"""A simulated plant that advances one step at a time, for tests of nodes."""
+"""A simulated plant for tests of nodes, which advances by one step at a time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not m
 
 
 class SimulatedPlant:
-    """A simulation of the plant of a loop, with noise and cost.
+    """Simulation of the plant of a loop, with its noise and its cost.
 
     Args:
         loop: loop that contains the plant; its input limits and references apply.
@@ -72,16 +72,16 @@ class SimulatedPlant:
 
     @property
     def inputs(self) -> int:
-        """Number of inputs."""
+        """Number of inputs of the plant."""
         return self.loop.problem.plant.inputs
 
     @property
     def tick_length(self) -> float:
-        """Seconds per step; 1 if the problem does not specify them."""
+        """Seconds per step; 1 if the problem states no sampling period."""
         return self.loop.problem.plant.dt or 1.0
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Apply an input for one step, set ``measurement`` to that of the next step, and return the cost of the step.
+        """Advance the plant by one step with the given input, update ``measurement``, and return the cost of the step.
 
         Args:
             inputs: input u, (m,).
@@ -91,7 +91,9 @@ class SimulatedPlant:
             UnstableError: the state exceeds the range of floating-point numbers, or that of the plant's function.
         """
         if len(inputs) != self.inputs:
-            raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
+            raise ProblemError(
+                f"the input has {len(inputs)} entries; expected {self.inputs} entries, one for each input of the plant"
+            )
         before, u = self.state.tolist(), [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)
         self.state = np.array([outputs[i] for i in self._x])
@@ -100,24 +102,24 @@ class SimulatedPlant:
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
             raise UnstableError(
-                "the loop drives the plant to a point where its function gives no finite number as state "
+                "the loop drives the plant to a point where the plant's function returns no finite number as state "
                 f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
         if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
             raise UnstableError(
-                f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
-                "expected a policy that stabilises the plant over this network"
+                f"the state of the plant exceeds the range of double precision at step {self.tick}: the loop is "
+                "unstable; expected a policy that stabilises the plant over this network"
             )
         return outputs[self._cost]
 
     def restart(self) -> None:
-        """Start again from the initial state, as a plant that its protection has stopped; steps and noise go on."""
+        """Set the plant to its initial state, as after an emergency stop. The step number and the noise continue."""
         self._states = [self._start.get(i, value) for i, value in enumerate(self._states)]
         self.state, self.measurement = self._began
 
     def final_cost(self) -> float:
-        """Return the terminal cost of the current state; 0 without a terminal weight."""
+        """Compute the cost of the final state; it is 0 if the cost does not weight this state."""
         terminal = self.loop.problem.terminal
         if terminal is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""All nodes of a policy and their links as one pure function, for a plant that is simulated or measured elsewhere.
+"""All nodes of a policy and their links as one pure function, for a plant simulated or measured elsewhere.
 
 The program of all nodes (``program.all_nodes``) is compiled to a Python function of the memory and the inputs: the
 measurement, set-points, and what becomes of each packet. The random draws of a step depend only on the seed and the
@@ -23,6 +23,7 @@ from taciturn.loop import Loop
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.policy import Policy, with_intervals
+from taciturn.model.silence import Life, lives_of
 from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.node import Values
@@ -51,19 +52,19 @@ _BLOCK = 256  # steps whose generators are seeded together, which takes little l
 
 @runtime_checkable
 class Closable(Protocol):
-    """A problem: it designs a policy, and closes the loop of a policy with its own plant, network and cost."""
+    """A problem that can design a policy, and close the loop of this policy with its plant, network and cost."""
 
     def design(self) -> Policy:
-        """Return the policy."""
+        """Design the policy of the problem, and return it."""
         ...
 
     def close(self, policy: Policy) -> Loop:
-        """Return the loop of a policy."""
+        """Close the loop of a policy with the plant, the network and the cost of the problem."""
         ...
 
 
 class Nodes:
-    """All nodes of a policy and their links, in memory: each step takes the measurement y and returns the input u.
+    """All nodes of a policy and their links in one object. Each step takes the measurement y and returns the input u.
 
     The results are bit-identical to those of separate nodes, and to the paths that ``simulate`` records.
 
@@ -77,6 +78,11 @@ class Nodes:
         start_input: input before the first step, (m,), from which the loop takes over without a jump: inputs that are
             held start with it, and if the model has constant disturbances, their estimate is that for which the first
             command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
+
+    Attributes:
+        silence: what the silence of each node that decides has cost since the start (``Life``), if the policy has a
+            bound on every path. It contains neither the effect of applied inputs that differ from the commands, nor
+            that of outputs that were not measured.
 
     Raises:
         InformationError: a node uses a value that is not available to it over the network.
@@ -106,7 +112,8 @@ class Nodes:
         if isinstance(policy, Loop):
             if network is not None:
                 raise ProblemError(
-                    "network is given with a problem or a loop, which has its own; expected network with a policy only"
+                    "the argument 'network' is given with a problem or a loop, which has its own network; expected "
+                    "this argument only with a policy"
                 )
             policy, network = policy.policy, policy.network
         instance("policy", policy, Policy)
@@ -127,13 +134,14 @@ class Nodes:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state before the first step; the same draws follow."""
+        """Return to the state before the first step. The random numbers are then the same as before."""
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
         self.reference: list[float] = self.policy.model.given.tolist()
         self._memory = self.turns.start
         self._held: dict[str, Array] = {}
+        self.silence: tuple[Life, ...] = lives_of(self.policy.theory.silence, {})
 
     def step(
         self,
@@ -143,7 +151,7 @@ class Nodes:
         applied: ArrayLike | None = None,
         fates: Mapping[str, bool] | None = None,
     ) -> Array:
-        """Execute one step, and set ``sent`` and ``arrived``, which state for each link whether a packet was sent and
+        """Execute one step. The dictionaries ``sent`` and ``arrived`` then show which links sent and which packets
         arrived.
 
         Args:
@@ -151,9 +159,9 @@ class Nodes:
                 filter then uses its prediction.
             reference: set-points from this step on, (z,), if they may change (``[reference] steps`` or ``file``);
                 default: those of the step before.
-            applied: input that the actuators really applied in the step before, (m,), if limits that the plant does not
-                state changed it. The filter, and a given controller that uses its input, take it in place of their
-                copy; default: the input that was returned.
+            applied: input that the actuators really applied in the step before, (m,), if limits that the model of the
+                plant does not contain changed it. The filter, and a given controller that uses its input, take it in
+                place of their copy; default: the input that was returned.
             fates: whether the packet of this step arrives, by link, if one is sent; packets of other links are dropped
                 at random, as the network states.
 
@@ -174,9 +182,9 @@ class Nodes:
         memory, values = self.turns.turn(self.tick, self._memory, inputs)
         if not (np.isfinite(memory).all() and fits(_values(values, self.turns.outputs.items(), APPLIED))):
             raise ProblemError(
-                f"step {self.tick} gives results that are not finite or beyond {LARGEST:.2g}, from the measurement "
-                f"{y}; expected numbers in the range for which the policy was designed. The nodes are as before the "
-                "step: hold the last input, or reset them"
+                f"in step {self.tick}, the measurement {y} leads to numbers that are not finite or exceed "
+                f"{LARGEST:.2g}; expected measurements in the range for which the policy was designed. The nodes are "
+                "in the same state as before the step: hold the last input, or reset the nodes"
             )
         self._memory, self.reference = memory, points
         self.tick += 1
@@ -184,17 +192,22 @@ class Nodes:
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
         self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
         self._held = {copy.held: _values(values, places, copy.held) for copy in self._copies}
+        silence = self.policy.theory.silence
+        kept = {name for one in silence.values() for name in (one.total, one.lasted)}
+        self.silence = lives_of(silence, {name: _values(values, places, name).tolist() for name in kept})
         return _values(values, places, APPLIED)
 
     def _changes(self, applied: Array | None) -> list[float]:
-        """Return what replaces the controller's copies of the last input by the input that was applied, if it is given.
+        """Return the change of the controller's copies of the last input to the applied input, if it is given.
 
         That is 1, and the changes of all signals into which copies have entered; or 0 and no changes.
         """
         changes = {signal: np.zeros(size) for signal, size in self._changed.items()}
         if applied is not None and not (changes and self.tick):
             got = f"and no filter of {self.policy.kind} has a copy of the input"
-            raise ProblemError(f"applied is given, {'in the first step' if changes else got}; expected no applied")
+            raise ProblemError(
+                f"the argument 'applied' is given, {'in the first step' if changes else got}; expected no such argument"
+            )
         if applied is not None:
             for copy in self._copies:
                 changes[copy.signal] += copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
@@ -209,20 +222,20 @@ class Nodes:
         missing = [value is None for value in entries] or [False] * p
         if any(missing) and not self._predicts:
             raise ProblemError(
-                f"an output is not measured, and no filter of this {self.policy.kind} predicts it; expected a number "
-                "for each output, or a policy whose controller filters measurements with noise"
+                f"an output is not measured, and no filter of this {self.policy.kind} policy predicts it; expected a "
+                "number for each output, or a policy whose controller filters measurements with noise"
             )
         given: object = [0.0 if value is None else value for value in entries] or measurement
         y = _checked("measurement", cast("ArrayLike", given), p)
         return y.tolist(), [float(not absent) for absent in missing]
 
     def _told(self, fates: Mapping[str, bool]) -> list[float]:
-        """Return for each link 1 if its packet arrives, −1 if it is dropped, and 0 if that is drawn."""
+        """Return for each link 1 if its packet arrives, −1 if it is dropped, and 0 if its fate is drawn."""
         instance("fates", fates, Mapping)
         for link in (link for link in fates if link not in self.links):
             raise ProblemError(
-                f"fates contains {quoted(link)}; expected links on which this {self.policy.kind} sends: "
-                f"{', '.join(self.links)}"
+                f"the argument 'fates' names the link {quoted(link)}; expected links on which this {self.policy.kind} "
+                f"policy sends: {', '.join(self.links)}"
             )
         arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
         return [arrives.get(link, 0.0) for link in self.links]
@@ -231,8 +244,9 @@ class Nodes:
         """Return the set-points."""
         if not self.reference:
             raise ProblemError(
-                f"reference is given, and the set-points of this {self.policy.kind} are constant; expected [reference] "
-                "with steps or file, which state how they change"
+                f"the argument 'reference' is given, but the set-points of this {self.policy.kind} policy are "
+                "constant; expected [reference] with the key 'steps' or 'file', which states how the set-points "
+                "change"
             )
         return _checked("reference", reference, len(self.reference)).tolist()
 
@@ -242,7 +256,10 @@ def _checked(name: str, given: ArrayLike, size: int) -> Array:
     axes = {"measurement": "(outputs,)", "reference": "(set-points,)", "applied": "(inputs,)"}
     found = array(name, given, (size,), axes[name])
     if not fits(found):
-        raise ProblemError(f"{name} is {found.tolist()}; expected numbers of at most {LARGEST:.2g}, as packets carry")
+        raise ProblemError(
+            f"{name} is {found.tolist()}; expected numbers of at most {LARGEST:.2g} in magnitude, the largest that "
+            "packets carry"
+        )
     return found
 
 
@@ -251,7 +268,7 @@ def _values(values: Values, places: Iterable[tuple[Name, int]], signal: str) -> 
 
 
 class StepFunction:
-    """The step of a program as a pure function of the step number, the memory and the inputs."""
+    """One step of a program as a pure function: its arguments are step number, memory and inputs."""
 
     def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
         """Compile the program, and draw its initial memory."""
@@ -279,11 +296,11 @@ class StepFunction:
         self._block: tuple[int, list[list[int]]] = -1, []
 
     def __reduce__(self) -> tuple[type[StepFunction], tuple[Program, dict[str, int], Network, int]]:
-        """Return what a pickle contains: the program, as compiled functions cannot be stored."""
+        """Return the contents of a pickle: the program, as compiled functions cannot be stored."""
         return type(self), self._made_of
 
     def drawn(self, tick: int) -> Values:
-        """Return the uniform random numbers of a step, in (0, 1)."""
+        """Draw the random numbers of a step, uniform in (0, 1)."""
         if self._draw is None:
             return ()
         block, place = divmod(tick, _BLOCK)
@@ -294,7 +311,7 @@ class StepFunction:
         return self._draw(words[place], ())[1]
 
     def turn(self, tick: int, memory: Sequence[float], inputs: Sequence[float]) -> tuple[Values, Values]:
-        """Return the memory after a step, and the outputs of the step, given the entries of the signals ``taken``."""
+        """Compute the memory after a step and the outputs of the step."""
         supplied = [*inputs, *self.drawn(tick)]
         return self._turn(memory, [supplied[place] for place in self._read])
 
@@ -326,8 +343,8 @@ def _from_estimate(policy: Policy, network: Network, estimate: Array) -> Policy:
         if after is not None and not np.array_equal(before, after):
             return _shifted(policy, prior, estimate - policy.model.mean)
     raise ProblemError(
-        f"estimate is given, but the commands of this {policy.kind} do not follow from a filter's estimate; expected a "
-        "policy whose controller filters measurements with noise, or no estimate"
+        f"estimate is given, but this {policy.kind} policy does not compute its commands from a filter's estimate; "
+        "expected a policy whose controller filters measurements with noise, or no estimate"
     )
 
 
@@ -336,8 +353,8 @@ def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tup
     model, memories = policy.model, dict(policy.initial)
     if policy.targets or policy.disturbance is not None:
         raise ProblemError(
-            f"start_input is given, but this {policy.kind} keeps a given controller or follows a stored reference; "
-            "expected start_input of the controller ([controller] pid), or no start_input"
+            f"start_input is given, but this {policy.kind} policy uses a given controller or follows a stored "
+            "reference; expected the controller's own start_input ([controller] pid), or no start_input"
         )
     for signal, (node, rows) in policy.applied.items():
         copies = dict.fromkeys((signal, f"{HELD}_{node}"))  # in one order: fingerprints contain the start values
@@ -373,7 +390,7 @@ def _prior(policy: Policy) -> str:
 
 
 def _constants(policy: Policy) -> list[int]:
-    """Return the indices of the states that are unknown constants, as neither inputs nor other states move them."""
+    """Return the indices of the states that are unknown constants, as neither inputs nor other states affect them."""
     # A state that moves another state of this kind is no constant disturbance, but for example the slope of a ramp.
     A, B, W = policy.model.A, policy.model.B, policy.model.W
     apart = ~B.any(axis=1)

@@ -1,4 +1,4 @@
-"""Problem files in TOML: reading, validation with located errors, and the problem that a file defines.
+"""Problem files in TOML: reading, checks that name a mistake and its place, and the class of a problem.
 
 A file comes in, and a ``Problem`` goes out: plant, cost, network, and the kind and parameters of a policy. Three checks
 follow each other, and an error names the file, the key, the given value and the remedy:
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -45,6 +45,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.limits import Limits
 from taciturn.model.link import IDEAL_LINK
+from taciturn.model.names import Names
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
@@ -75,6 +76,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "actual": ("plant", "disturbance", "reference"),
     "network": ("network", "nodes", "links"),
     "limits": ("limits", "plant"),
+    "names": ("names", "plant"),
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
 TABLES = frozenset(one.name for one in fields(File)) - {"policy"}  # tables of a file that are replaced as a whole
@@ -85,7 +87,7 @@ CHANGED = "the changed problem"  # name of a changed problem in messages
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Displayed):
-    """A control problem: a plant, a cost, a network, and the kind and parameters of a policy.
+    """A control problem: a plant, a cost, a network, and a policy kind with its parameters.
 
     Args:
         plant: the plant for which the policy is designed.
@@ -100,9 +102,11 @@ class Problem(Displayed):
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
         limits: limits of the states, whose probability of violation is computed, or None.
+        names: names of outputs and inputs for figures, or None.
 
     Raises:
-        ProblemError: if ``network`` is not a Network, the policy kind is unknown, or limits do not fit the plant.
+        ProblemError: if ``network`` is not a Network, the policy kind is unknown, or limits or names do not fit
+            the plant.
     """
 
     plant: Plant | ContinuousPlant
@@ -117,6 +121,7 @@ class Problem(Displayed):
     own: Kind | None = None
     controller: AnyController | None = None
     limits: Limits | None = None
+    names: Names | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
@@ -125,14 +130,17 @@ class Problem(Displayed):
         if self.limits is not None:
             instance("limits", self.limits, Limits)
             self.limits.expect_states(len(self.plant.A))
+        if self.names is not None:
+            instance("names", self.names, Names)
+            self.names.expect(len(self.plant.C), self.plant.inputs)
 
     @property
     def record(self) -> Kind:
-        """The record of the policy kind."""
+        """The record of the problem's policy kind: design function, parameters, and description."""
         return self.own if self.own is not None and self.own.name == self.kind else find_kind(self.kind)
 
     def summary(self) -> Mapping[str, object]:
-        """Return the policy kind, parameters, plants, cost, network, reference and limits by name."""
+        """Return the values to display: policy kind, parameters, plants, cost, network, reference and limits."""
         return {
             "kind": self.kind,
             "parameters": self.parameters,
@@ -143,6 +151,7 @@ class Problem(Displayed):
             "reference": self.reference,
             "controller": self.controller,
             "limits": self.limits,
+            "names": self.names,
         }
 
     def short(self) -> str:
@@ -150,7 +159,7 @@ class Problem(Displayed):
         return self.kind
 
     def design(self) -> Policy:
-        """Design the policy as nodes that exchange packets.
+        """Design the policy; return it as policy steps of nodes that exchange packets.
 
         Raises:
             ProblemError: if a parameter is unknown, missing or out of range, the policy does not support the network,
@@ -162,7 +171,7 @@ class Problem(Displayed):
         return policy
 
     def designed(self) -> AnyPolicy:
-        """Return the designed policy, also if it is of a kind that nodes cannot run.
+        """Design the policy. Unlike ``design``, this also works for kinds whose policies nodes cannot run.
 
         Raises:
             ProblemError: if a parameter is unknown, missing or out of range, or the policy would ignore a part of the
@@ -178,8 +187,8 @@ class Problem(Displayed):
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
         except np.linalg.LinAlgError as error:
             raise ProblemError(
-                f"{self.name or 'the problem'}: a computation with matrices fails ({error}); expected numbers nearer "
-                "to 1: scale the problem"
+                f"a matrix computation for {self.name or 'the problem'} fails ({error}); expected numbers closer to 1: "
+                "scale the problem"
             ) from None
 
     def _other_period(self) -> str | None:
@@ -201,6 +210,18 @@ class Problem(Displayed):
             f"period is {period:g} s, in which the plant moves {many}, so rounding hides its modes; expected a "
             f"{longer} period, such as {USUAL / rate:.1g} s"
         )
+
+    def _expect_own(self, parameters: Mapping[str, object], given: Collection[str]) -> None:
+        """Raise a ``ProblemError`` if another kind is given, and a parameter of the present kind is not one of it."""
+        kind = parameters.get("kind", self.kind)
+        if kind == self.kind or not isinstance(kind, str) or kind not in CATALOGUE:
+            return
+        known = find_kind(kind).parameters
+        for key in (key for key in self.parameters if key in parameters and key not in (*known, *given)):
+            raise ProblemError(
+                f"in {CHANGED}, policy.kind is {kind!r}, which has no parameter {key}; expected no {key}: remove it "
+                f"with --set {key}=none, or with None in Python"
+            )
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""
@@ -230,8 +251,10 @@ class Problem(Displayed):
         return policy
 
     def close(self, policy: Policy) -> Loop:
-        """Close the loop of a policy with the simulated plant."""
-        return close(self.actual or self.plant, policy, self.network, self.cost)
+        """Close the loop of a policy with the plant that this problem simulates."""
+        loop = close(self.actual or self.plant, policy, self.network, self.cost)
+        plain = {key: str(value) for key, value in self.parameters.items() if isinstance(value, int | float | str)}
+        return replace(loop, limits=self.limits, names=self.names, settings={**plain, "file": Path(self.name).name})
 
     @property
     def nonlinear(self) -> bool:
@@ -240,7 +263,7 @@ class Problem(Displayed):
         return isinstance(plant, Plant) and plant.function is not None
 
     def changed(self, values: Mapping[str, object]) -> Problem:
-        """Return the problem with new values of ``[policy]`` keys or dotted keys (``plant.dt``).
+        """Return a copy of the problem with new values of keys: ``[policy]`` keys, or dotted keys such as ``plant.dt``.
 
         None removes a key, or a table such as ``controller``; a value of a table's name replaces the table.
 
@@ -261,10 +284,13 @@ class Problem(Displayed):
             elif not path or path == ["policy"]:
                 parameters[key] = value
             elif path[0] == "policy":
-                raise ProblemError(f"{name} is not a key; expected a key of [policy], such as policy.{path[1]}")
+                raise ProblemError(
+                    f"{name} is not a key of a problem; expected a key of [policy], such as policy.{path[1]}"
+                )
             elif self.source is None:
                 raise ProblemError(
-                    f"{name} cannot be changed in a problem that was not read from a file; expected a key of [policy]"
+                    f"the key {name} cannot be changed in a problem that was not read from a file; expected a key of "
+                    "[policy]"
                 )
             else:
                 table = tables
@@ -273,16 +299,19 @@ class Problem(Displayed):
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
                         got = f"{part} is {quoted(found)}"
-                        raise ProblemError(f"{name} is not a key: {got}; expected a key such as plant.dt")
+                        raise ProblemError(
+                            f"{name} is not a key of a problem file: {got}; expected a key such as plant.dt"
+                        )
                     table = cast("dict[str, Any]", found)
                 table[key] = value
                 if value is None:
                     del table[key]
         parameters = {key: value for key, value in parameters.items() if value is not None}
+        self._expect_own(parameters, {str(name).removeprefix("policy.") for name in values})
         tables = {name: table for name, table in tables.items() if table is not None}
         tables |= {"policy": {"kind": parameters.pop("kind", self.kind), **parameters}}
         if touched:
-            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own)
+            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own, "names" in touched)
             kept = [name for name, read in PARTS.items() if touched.isdisjoint(read)]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
@@ -296,7 +325,7 @@ def _holds_numbers(record: Kind, name: str) -> bool:
 
 
 def load(path: str | Path, *, functions: bool = True) -> Problem:
-    """Read a problem file, or a built-in problem by its name.
+    """Load a problem from a problem file, or a built-in problem by its name.
 
     Reading a problem with ``plant.function`` executes the Python file that it names.
 
@@ -329,9 +358,14 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
             f"{', '.join(built_in)}{suggest(str(path), built_in)}"
         ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise ProblemError(f"{str(path)!r} cannot be read ({why_unreadable(error)}); expected a TOML file") from None
+        raise ProblemError(
+            f"the problem file {str(path)!r} cannot be read ({why_unreadable(error)}); expected a TOML file"
+        ) from None
     except RecursionError:
-        raise ProblemError(f"{path} is not valid TOML: it is nested too deeply; expected tables of matrices") from None
+        raise ProblemError(
+            f"{path} is not valid TOML: its values are nested too deeply; expected tables whose values are at most "
+            "matrices"
+        ) from None
     except ValueError as error:  # errors of tomllib, and integers that are too long for Python
         raise ProblemError(
             f"{path} is not valid TOML: {error}; expected the format of docs/problem-file"
@@ -343,9 +377,17 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
 
 
 def parse(
-    tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None, own: Kind | None = None
+    tables: Mapping[str, Any],
+    name: str,
+    known: Mapping[str, Dynamics] | None = None,
+    own: Kind | None = None,
+    named: bool = True,
 ) -> Problem:
-    """Return the problem that the tables of a file define."""
+    """Make a problem from the tables of a problem file.
+
+    Unless ``named`` is true, names of signals that the plant does not have are left out: a changed plant may have fewer
+    outputs and inputs than the plant of the file.
+    """
     try:
         file: File = validate(File, tables)
     except ValidationError as error:
@@ -367,9 +409,13 @@ def parse(
         if simulated is not None and actual is not None:
             actual = with_exosystem(actual, simulated, file, points, network)
         reference = None if trajectory is None else Reference(**trajectory)
-        limits = limits_of(file.limits, plant)
+        limits, names = limits_of(file.limits, plant), None if file.names is None else Names(**file.names)
+        source = _copied(tables)
+        if names is not None and not named:
+            fitting = names.fitting(len(plant.C), plant.inputs)
+            names, source = Names(**fitting), {**source, "names": {role: list(one) for role, one in fitting.items()}}
         return Problem(
-            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller, limits
+            plant, cost, network, kind, parameters, actual, reference, source, name, own, controller, limits, names
         )
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
@@ -381,8 +427,8 @@ def _expect_packets(policy: AnyPolicy, network: Network) -> None:
     carrying = ("sensor",) if nodes is None else nodes.scheduled
     for link in (link for link, law in network.links.items() if law.energy is not None and link not in carrying):
         raise ProblemError(
-            f"{network.key(link, 'energy')} is given, but {policy.kind} decides on no packet of the {link} link; "
-            f"expected the energy of the {' and '.join(carrying)} link"
+            f"{network.key(link, 'energy')} is given, but the policy {policy.kind} makes no send decisions on the "
+            f"{link} link; expected the energy of a packet on the {' and '.join(carrying)} link"
         )
 
 

@@ -1,4 +1,4 @@
-"""Matrices of a plant or a controller that are read from a MATLAB or NumPy file.
+"""Reading of the matrices of a plant or a controller from a MATLAB or NumPy file.
 
 MATLAB files are read with scipy, and those of version 7.3 with h5py; neither is imported for a file of NumPy.
 """
@@ -51,21 +51,21 @@ class _Sizes:
         self._path, self._sum = path, 0
 
     def add(self, name: str, size: int) -> None:
-        """Add the bytes of a variable, or of a part of the file, to the total size."""
+        """Add the size in bytes of a variable to the total; raise an error if the total is too large."""
         self._sum += size
         if self._sum > LARGEST:
             raise ProblemError(
-                f"{str(self._path)!r} expands to {self._sum:,} bytes or more (counted up to {name}); "
-                f"expected at most {LARGEST:,} bytes: save only the matrices A, B, C, D, W, V, Q, R, N and dt"
+                f"the file {str(self._path)!r} expands to {self._sum:,} bytes or more (counted up to {name}); expected "
+                f"at most {LARGEST:,} bytes: save only the matrices A, B, C, D, W, V, Q, R, N and dt"
             )
 
     def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:
-        """Add the bytes of an array, from its shape and the bytes per entry, to the total size."""
+        """Add the size in bytes of an array to the total; raise an error if the total is too large."""
         self.add(name, math.prod(map(int, shape)) * itemsize)
 
 
 def read_variables(path: Path) -> dict[str, Variable]:
-    """Return the variables of a ``.mat`` or ``.npz`` file by name, with matrices oriented as in MATLAB."""
+    """Read the variables of a ``.mat`` or ``.npz`` file, by name. The orientation of matrices is that of MATLAB."""
     if path.suffix.lower() not in ENDINGS:
         expected = f"expected a matrix file that ends in {' or '.join(ENDINGS)}"
         raise ProblemError(f"{str(path)!r} {ending_text(path)}; {expected}")
@@ -76,10 +76,10 @@ def read_variables(path: Path) -> dict[str, Variable]:
         raise
     except OSError as error:
         why = error.strerror or "it is damaged"
-        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a matrix file") from None
+        raise ProblemError(f"the file {str(path)!r} cannot be read ({why}); expected a matrix file") from None
     except Exception as error:  # damaged files raise many kinds of exceptions
         why = " ".join(str(error).split()) or type(error).__name__
-        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a matrix file") from None
+        raise ProblemError(f"the file {str(path)!r} cannot be read ({why}); expected a matrix file") from None
 
 
 def _numpy(path: Path) -> dict[str, Variable]:
@@ -266,7 +266,7 @@ SYSTEMS = ("ss", "tf", "zpk", "idss", "frd")  # MATLAB classes of systems
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Given(Displayed):
-    """The part of a problem that a file contains."""
+    """The matrices and the sampling period that a file contains."""
 
     # matrices by key of the problem file: A, B, E, C, D if it is not 0, W, V, Q, R, N
     arrays: dict[str, npt.NDArray[Any]]
@@ -275,13 +275,16 @@ class Given(Displayed):
 
 
 def read_given(path: Path) -> Given:
-    """Return the part of a problem that a ``.mat`` or ``.npz`` file contains."""
+    """Read a problem's matrices and sampling period from a ``.mat`` or ``.npz`` file."""
     held = read_variables(path)
     found: dict[str, npt.NDArray[Any]] = {}
     for key, names in NAMES.items():
         there = [name for name in names if name in held]
         if len(there) > 1:
-            raise ProblemError(f"{path} has {' and '.join(there)}; expected only one of them, since both specify {key}")
+            raise ProblemError(
+                f"the file {path} has the variables {' and '.join(there)}; expected only one of them, since both "
+                f"specify {key}"
+            )
         if there:
             found[key] = _expect_array(path, there[0], held[there[0]])
     foreign = {name: value.kind for name, value in held.items() if isinstance(value, Foreign)}
@@ -296,7 +299,9 @@ def read_given(path: Path) -> Given:
     if "E" in found and descriptor_of(found) is None and found["E"].size in (0, len(A) ** 2):
         del found["E"]
     if "D" in found and "C" not in found:
-        raise ProblemError(f"{path} has D and no C; expected C, as a direct feedthrough adds to measured outputs")
+        raise ProblemError(
+            f"the file {path} has D and no C; expected C, as a direct feedthrough adds to measured outputs"
+        )
     changes = {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held}
     refuse_delays(str(path), changes)
     known = {name for names in NAMES.values() for name in names} | set(changes)
@@ -305,14 +310,16 @@ def read_given(path: Path) -> Given:
 
 
 def read_controller(place: str) -> tuple[dict[str, npt.NDArray[Any]], float | None]:
-    """Return the matrices of a controller in a file by name, and its step: 0 in continuous time, None if not stated."""
+    """Read a controller's matrices and period from a file. The period is 0 in continuous time, and None if missing."""
     path, named = Path(place), ""
     if ":" in path.name:
         path, named = Path(place.rpartition(":")[0]), place.rpartition(":")[2]
     held = read_variables(path)
     if named:
         if named not in held:
-            raise ProblemError(f"{path} has no variable {named}; expected one of {', '.join(sorted(held))}")
+            raise ProblemError(
+                f"the file {path} has no variable {named}; expected one of its variables {', '.join(sorted(held))}"
+            )
         value = held[named]
         if isinstance(value, Foreign):
             raise ProblemError(_only_matlab(path, named, value.kind))
@@ -336,7 +343,7 @@ def _only_matlab(path: Path, name: str, kind: str) -> str:
 
 def _expect_array(path: Path, name: str, value: Variable) -> npt.NDArray[Any]:
     if isinstance(value, Foreign):
-        raise ProblemError(f"{name} in {path} is a {value.kind}; expected a matrix of numbers")
+        raise ProblemError(f"the variable {name} in {path} is a {value.kind}; expected a matrix of numbers")
     try:
         return array(name, value, (None,) * value.ndim)
     except ProblemError as error:

@@ -1,4 +1,4 @@
-"""The parameters of a policy kind, checked against its design function.
+"""The parameters of a policy kind, which are checked against the arguments of its design function.
 
 The function declares what the table ``[policy]`` may state: a parameter without a default is required, its annotation
 is the type, and a matrix is a list of rows in a file. So a new parameter of a kind is one argument of its function.
@@ -21,11 +21,11 @@ from taciturn.problem.schema import Rows, ValidationError, ours, suggest, valida
 
 
 def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) -> tuple[str, dict[str, Any]]:
-    """Return the kind and the parameters in a ``[policy]`` table."""
+    """Read the policy kind and its parameters from a ``[policy]`` table."""
     parameters = {key: value for key, value in table.items() if key != "kind"}
     try:
         if "kind" not in table:
-            raise ProblemError(f"policy.kind is missing; expected one of {', '.join(CATALOGUE)}")
+            raise ProblemError(f"policy.kind is missing; expected one of the policy kinds {', '.join(CATALOGUE)}")
         kind = own if own is not None and own.name == table["kind"] else find_kind(table["kind"])
         check_parameters(kind, parameters)
     except ProblemError as error:
@@ -34,30 +34,33 @@ def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) ->
 
 
 def find_kind(kind: object, what: str = "policy.kind") -> Kind:
-    """Return the record of a policy kind."""
+    """Find a policy kind by name. If there is none, the error suggests similar names."""
     if not isinstance(kind, str) or kind not in CATALOGUE:
         near = suggest(str(kind), list(CATALOGUE)) if isinstance(kind, str) else ""
-        raise ProblemError(f"{what} is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
+        raise ProblemError(f"{what} is {quoted(kind)}; expected one of the policy kinds {', '.join(CATALOGUE)}{near}")
     return CATALOGUE[kind]
 
 
 def check_parameters(kind: Kind, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of a policy kind, checked against its design function."""
+    """Check the parameters of a policy kind against the arguments of its design function, and convert their types."""
     known = _accepted(kind)
     for key in parameters:
         if key not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameters"
             raise ProblemError(
-                f"policy.{key} is not a parameter of {kind.name}; expected {expected}{suggest(key, list(known))}"
+                f"policy.{key} is not a parameter of the policy kind {kind.name}; expected "
+                f"{expected}{suggest(key, list(known))}"
             )
     for key, (_, needed) in known.items():
         if needed and key not in parameters:
-            raise ProblemError(f"policy.{key} is missing; {kind.name} requires it")
+            raise ProblemError(
+                f"policy.{key} is missing; expected this parameter, which the policy kind {kind.name} requires"
+            )
     return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
 
 
 def check_parameter(kind: Kind, key: str, value: object) -> Any:
-    """Return a parameter of a policy kind, checked against its design function."""
+    """Check a parameter of a policy kind against the argument of its design function, and convert its type."""
     if isinstance(value, np.ndarray):
         given = cast("Array", value)
         expect_unmasked(f"policy.{key}", given)

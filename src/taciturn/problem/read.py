@@ -1,4 +1,4 @@
-"""Rules of problem files that no field states: tables that depend on each other, on files and on functions.
+"""Conversion of the tables of a problem file to a plant, a cost, a network and other objects.
 
 ``schema`` checks each table by itself. Here, in the order of this file, they become the parts of a problem:
 
@@ -25,7 +25,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, quoted
+from taciturn._arrays import Array, ArrayLike, array, quoted
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._text import backslash_text
@@ -68,12 +68,12 @@ SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this sha
 
 
 def trajectory_in(table: ReferenceKeys | None) -> ReferenceKeys | None:
-    """Return a table of a trajectory, or None for set-points or without a table."""
+    """Return the table ``[reference]`` if it states a trajectory; None if it states set-points, or is missing."""
     both = ("states", "inputs")
     if table is None or not table.keys() & set(both):
         return None
     for name in (name for name in both if name not in table):
-        raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
+        raise ProblemError(f"the key reference.{name} is missing; expected both reference.states and reference.inputs")
     for name in (name for name in table if name not in both):
         raise ProblemError(
             f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
@@ -85,13 +85,15 @@ def trajectory_in(table: ReferenceKeys | None) -> ReferenceKeys | None:
 def with_exosystem(
     plant: Plant | ContinuousPlant, table: PlantKeys, file: File, points: ReferenceKeys | None, network: Network
 ) -> Plant | ContinuousPlant:
-    """Return a plant with the disturbances and set-points of a file, if it states any."""
+    """Extend the state of a plant by the disturbances and set-points that a problem file states."""
     if points is None and not file.disturbance:
         return plant
-    stated: dict[str, Any] = {"changes": None if points is None else _changes(points), **(points or {})}
+    stated: dict[str, Any] = {"changes": None if points is None else changes_of(points), **(points or {})}
     nodes, _, _ = (stated.pop(name, None) for name in ("integral_action", "steps", "file"))
     if nodes == []:
-        raise ProblemError("reference.integral_action is empty; expected nodes that measure, or no such key")
+        raise ProblemError(
+            "reference.integral_action is empty; expected the names of nodes that measure, or no such key"
+        )
     acting = None if nodes is None else _outputs_of(nodes, plant, network)
     if "outputs" not in stated:
         rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
@@ -106,17 +108,17 @@ def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturba
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
         if E is not None:
-            moved = Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one["enters"]])
+            moved = Inverse.of(E, np.atleast_2d(E).shape[0]).times("disturbance.enters", np.c_[one["enters"]])
             one = {**one, "enters": moved[:, 0]}
         return ExternalDisturbance(**one)
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
 
-def _changes(table: ReferenceKeys) -> Changes | None:
-    """Return how the set-points of a table change, or None if they are constant."""
+def changes_of(table: ReferenceKeys) -> Changes | None:
+    """Return how the set-points of a table change with time; None if they are constant."""
     if "steps" in table and "file" in table:
-        raise ProblemError("reference.steps and reference.file are given; expected one of them")
+        raise ProblemError("reference.steps and reference.file are both given; expected only one of them")
     if "steps" in table:
         return RandomSteps(**table["steps"])
     if "file" not in table:
@@ -149,7 +151,7 @@ def _rows(text: str) -> Array:
                 row.append(nan)
             if not isfinite(row[-1]):
                 raise ValueError(
-                    f"column {column} of line {line} is {quoted(entry.strip())}, which is no finite number"
+                    f"column {column} of line {line} is {quoted(entry.strip())}, which is not a finite number"
                 )
         rows.append(row)
     return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 2))
@@ -187,8 +189,9 @@ def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[Externa
     seen = np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0)
     if not seen.all():
         raise ProblemError(
-            "reference.integral_action is given, and W has no noise at an input, from which the speed of the "
-            "disturbance follows; expected a positive W there, or [[disturbance]] with its wander"
+            "reference.integral_action is given, but some input has no process noise in W, from which the random "
+            "changes of the disturbance are computed; expected such noise in W, or a [[disturbance]] with the key "
+            "'wander'"
         )
     return [
         ExternalDisturbance(plant.B @ column, SHARE**2 * size / STEPS)  # a random walk: variances add up
@@ -201,7 +204,9 @@ LARGEST_CODE = 2**20  # bytes of a Python file
 
 
 def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
-    """Return the function that a problem file specifies."""
+    """Return the function of a nonlinear plant, named ``file.py:name`` in a problem file; load the file if
+    necessary.
+    """
     if named in known:
         return known[named]
     path, _, name = named.rpartition(":")
@@ -223,12 +228,13 @@ def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
 
 
 def refuse_functions(tables: Mapping[str, Any], name: str) -> None:
-    """Refuse the tables of a file that name a function, since reading such a file executes the function's file."""
+    """Raise an error if the tables of a problem file name a Python function, because to load it is to execute code."""
     for path, table in _tables((), tables):
         if KEY in table:
             raise ProblemError(
-                f"{name}: {'.'.join((*path, KEY))} is {quoted(table[KEY])}, which names Python code to execute, but "
-                "functions are refused (--no-functions, functions=False); expected a problem without functions"
+                f"in {name}, the key {'.'.join((*path, KEY))} is {quoted(table[KEY])}, which names Python code to "
+                "execute, but functions are refused (--no-functions, functions=False); expected a problem without "
+                "functions"
             )
 
 
@@ -241,8 +247,7 @@ def _tables(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[tuple[t
 
 
 def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables of a file with absolute paths; relative paths of functions, of a controller and of
-    a timetable start there."""
+    """Convert relative paths in the tables of a problem file to absolute ones. They are relative to ``folder``."""
     found = dict(tables)
     for key in ("controller", "reference"):
         given = found.get(key)
@@ -260,7 +265,7 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
-    """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
+    """Return the functions of plants that were read from files, by name ``file.py:name``."""
     found = [plant.function for plant in plants if isinstance(plant, Plant) and plant.function is not None]
     units = [one.function.dynamics if isinstance(one.function, MovedDynamics) else one for one in found]
     return {f"{one.path}:{one.name}": one for one in units if one.text is not None}
@@ -270,26 +275,29 @@ GAINS = ("kp", "ki", "kd")
 
 
 def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
-    """Raise a ``ProblemError`` if the policy kind takes no argument of this name from a table."""
+    """Raise ``ProblemError`` if a table is given that the design function of the policy kind does not use."""
     if name not in kind.tables:
-        raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
+        raise ProblemError(f"{given} is given, which the policy kind {kind.name} does not use; expected {expected}")
 
 
 def used_tables(kind: Kind, stated: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments of a policy kind's design function that are neither parameters nor the network."""
+    """Return, as arguments, the tables of a problem file that the design function of a policy kind uses."""
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     used = {key: value for key, value in stated.items() if key in kind.tables}
     needed = [name for name in used if kind.arguments[name].default is Parameter.empty]
     for name in (name for name in needed if used[name] is None):
-        raise ProblemError(f"[{name}] is missing, which {kind.name} requires; expected this table")
+        raise ProblemError(
+            f"the table [{name}] is missing, which the policy kind {kind.name} requires; expected this table in the "
+            "file"
+        )
     return used
 
 
 def plant_of(
     table: PlantKeys, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
 ) -> Plant | ContinuousPlant:
-    """Return the plant of a table, with the ``usual`` operating point if it states none."""
+    """Make a plant from its table. If the table states no operating point, ``usual`` is used."""
     given: dict[str, Any] = {name: value for name, value in table.items() if name not in ("initial", "actual")}
     given |= table.get("initial", {})
     given["operating_point"] = OperatingPoint(**given["operating_point"]) if "operating_point" in given else usual
@@ -316,36 +324,37 @@ def plant_of(
 def actual_of(
     table: PlantKeys, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
 ) -> Plant | ContinuousPlant:
-    """Return the simulated plant, which must have the time base and the sizes of the design plant."""
+    """Make the simulated plant; check that its sampling period and numbers of signals are those of the design plant."""
     try:
         plant = plant_of(table, known, design.operating_point)
     except ProblemError as error:
         raise ProblemError(f"[plant.actual]: {error}") from None
     if table.get("dt") != dt:
         got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.get("dt"), dt))
-        raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time base in both")
+        raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time step in both")
     for name, axis in (("A", 0), ("B", 1), ("C", 0)):
         got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
         if got != expected:
             size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
-            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as in [plant]")
+            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected} {size}, as in [plant]")
     return plant
 
 
 def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: AnyController | None, period: object) -> Cost:
-    """Return the cost of a table, which states weights, variances, or weights by the present loop of a controller."""
+    """Make the cost from its table, which states weights or variances, or derives them from the present loop."""
     stated = dict(table)
     short = [name for name in ("output_variance", "input_variance", "weights") if name in stated]
     if not short:
         for name in (name for name in "QR" if name not in stated):
             raise ProblemError(
-                f"the key cost.{name} is missing; expected it in [cost], or output_variance and input_variance"
+                f"the key cost.{name} is missing; expected it in the table [cost], or output_variance and "
+                "input_variance"
             )
         return Cost(**stated)
     allowed = {"weights"} if "weights" in stated else {"output_variance", "input_variance"}
     ending = {name: stated.pop(name) for name in ("horizon", "terminal", "discount") if name in stated}
     for name in (name for name in stated if name not in allowed):
-        raise ProblemError(f"cost.{short[-1]} and cost.{name} are given; expected one of the two")
+        raise ProblemError(f"cost.{short[-1]} and cost.{name} are both given; expected only one of them")
     if "weights" in stated:
         if controller is None:
             raise ProblemError(
@@ -355,13 +364,13 @@ def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: AnyCont
         found = cost_as_now(plant, controller, seconds)
         return Cost(found.Q, found.R, found.N, **ending)
     for name in (name for name in ("output_variance", "input_variance") if name not in stated):
-        raise ProblemError(f"the key cost.{name} is missing; expected it in [cost], with cost.{short[0]}")
+        raise ProblemError(f"the key cost.{name} is missing; expected cost.{name} together with cost.{short[0]}")
     found = Cost.of_variances(plant.C, stated["output_variance"], stated["input_variance"], plant.D)
     return Cost(found.Q, found.R, found.N, **ending)
 
 
 def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyController:
-    """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
+    """Make the controller from its table, which states gains, matrices, or a file with matrices."""
     _expect_stated(table, plant)
     disturbance = table.get("disturbance")
     if disturbance is not None:
@@ -369,16 +378,19 @@ def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyC
     stated: Mapping[str, object] = {name: table[name] for name in "ABCDE" if name in table}
     given = [name for name in ("pid", "file") if name in table] + [*stated][:1]
     if len(given) > 1:
-        raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are given; expected one of the two")
+        raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are both given; expected only one of them")
     sign = 1.0 if table.get("sign") == "positive" else -1.0
     method, setpoint = table.get("method"), table.get("setpoint")
     if "pid" in table:
         if method is not None:
             raise ProblemError(
-                "controller.method is given with pid; expected A, B, C and D in continuous time, or file"
+                "controller.method is given with pid; expected this key only with the matrices A, B, C and D of a "
+                "continuous controller, or with file"
             )
         if setpoint is not None:
-            raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
+            raise ProblemError(
+                "controller.setpoint is given with pid; expected the key 'setpoint' inside controller.pid"
+            )
         pids = [
             PID(**{key: -sign * value if key in GAINS else value for key, value in one.items()})
             for one in _loops(table)
@@ -390,26 +402,32 @@ def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyC
         stated, dt = read_controller(table["file"])
     if not stated:
         raise ProblemError(
-            "[controller] has no controller; expected pid, file, or A, B, C and D, or D alone, a static gain"
+            "[controller] describes no controller; expected the key 'pid' or 'file', or the matrices A, B, C and D, "
+            "or only D for a static gain"
         )
     missing = [name for name in "ABC" if name not in stated]
     if missing and stated.keys() != {"D"}:
         raise ProblemError(
-            f"the controller has {', '.join(stated)} and no {', '.join(missing)}; expected A, B, C and D, or D "
-            "alone, a static gain"
+            f"the controller has {', '.join(stated)} but no {', '.join(missing)}; expected A, B, C and D, or only D "
+            "for a static gain"
         )
     if missing and method is not None:
         raise ProblemError(
-            "controller.method is given with D alone, which does not depend on the step; expected D only"
+            "controller.method is given with only D, a static gain, which needs no discretisation; expected no "
+            "controller.method"
         )
-    found = {name: np.asarray(value, dtype=np.float64) for name, value in stated.items()}
+    found = {
+        name: array(f"controller.{name}", cast("ArrayLike", value), (None, None), "(rows, columns)")
+        for name, value in stated.items()
+    }
     m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
     A, B, C = (found.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
     D, E = sign * found.get("D", np.zeros((m, p))), found.get("E")
     if dt == 0 or method is not None:
         if dt:
             raise ProblemError(
-                f"controller.method is given, and {table['file']} has steps of {dt:g} s; expected no method"
+                f"controller.method is given, but the controller in {table['file']} is discrete, with steps of {dt:g} "
+                "s; expected no method"
             )
         if E is not None:
             raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
@@ -424,13 +442,13 @@ def _loops(table: ControllerKeys) -> list[PIDKeys]:
 
 
 def limits_of(table: LimitsKeys | None, plant: Plant | ContinuousPlant) -> Limits | None:
-    """Return the limits of a table, by default of the measured outputs, or None without a table."""
+    """Make the limits of states from their table. By default, they limit the measured outputs."""
     if table is None:
         return None
     if "outputs" not in table and plant.D is not None:
         raise ProblemError(
-            "limits.outputs is missing, and the measured outputs have a direct feedthrough plant.D; expected "
-            "limits.outputs, combinations of the states"
+            "limits.outputs is missing, but the measured outputs have a direct feedthrough plant.D; expected "
+            "limits.outputs, whose rows weight the states"
         )
     return Limits(**{"outputs": plant.C, **table})
 
@@ -443,16 +461,20 @@ def _expect_stated(table: ControllerKeys, plant: Plant | ContinuousPlant) -> Non
     y = plant.rest_outputs
     for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
         raise ProblemError(
-            f"the controller has the set-point 0 of output {i + 1}, which is {y[i]:g} at plant.operating_point; "
-            "expected another set-point, or none for that of the operating point"
+            f"the controller has the set-point 0 for output {i + 1}, but this output is {y[i]:g} at "
+            "plant.operating_point; expected another set-point, or no set-point, which means the value at the "
+            "operating point"
         )
 
 
 def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Network:
-    """Return the network of a file, or ideal links; ``kind`` must use losses that no protocol states."""
+    """Make the network of a problem file. If no table states it, the links are ideal.
+
+    Losses without ``network.protocol`` are an error unless the policy kind uses them.
+    """
     network = _graph_of(file) if file.nodes or file.links else _usual_of(file.network or NetworkTable(), kind)
     if any(law.energy is not None for law in network.links.values()) and isinstance(plant, Plant) and plant.dt is None:
-        raise ProblemError("the energy of a packet is given without plant.dt; expected the seconds per step")
+        raise ProblemError("the energy of a packet is given without plant.dt; expected plant.dt, the seconds per step")
     return network
 
 
@@ -467,8 +489,8 @@ def _usual_of(table: NetworkTable, kind: Kind) -> Network:
     if lost and table.protocol == "ideal" and not kind.takes_losses:
         able = [name for name in own_kinds() if CATALOGUE[name].takes_losses]
         raise ProblemError(
-            f"network.{lost[0]} is given, which {kind.name} does not use; expected ideal links: remove it, or "
-            f"network.protocol and a kind such as {' or '.join(able)}"
+            f"network.{lost[0]} is given, which the policy kind {kind.name} does not use; expected ideal links: remove "
+            f"this key, or give network.protocol and a policy kind such as {' or '.join(able)}"
         )
     links = usual_links(cast("Any", table.protocol), cast("Any", table.payload), laws)
     return Network(delay=table.delay, links=links, stated=SHORT)

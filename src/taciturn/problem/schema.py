@@ -1,4 +1,4 @@
-"""The tables of a problem file, and error messages with remedies for mistakes in them.
+"""The tables of a problem file, and error messages that suggest a correction of mistakes in them.
 
 A table is described by classes, whose fields are its keys (``keys_of``): classes of the model, such as ``LinkLaw`` of
 ``[links.NAME]``, and small classes of this file for keys that state an argument in another way, such as variances for
@@ -7,6 +7,9 @@ out of range is reported after all mistakes of types. So a new key is one field 
 argument.
 
 A file, ``[network]``, and a law of losses, which a package of another author may define, are made directly.
+
+A matrix is a list of rows (``Rows``). A number is a vector or matrix with one entry, and a list of numbers in
+place of a matrix is left to the class of the model, whose message knows the sizes and shows the form.
 
 Types are checked by pydantic-core, whose import is faster than that of pydantic, and strictly: numbers given as text,
 true given as a number, and unknown keys are mistakes. ``first_mistake`` makes one clause of the first of them.
@@ -37,7 +40,7 @@ from typing import (
 from pydantic_core import SchemaValidator, core_schema
 from pydantic_core import ValidationError as ValidationError
 
-from taciturn._arrays import quoted
+from taciturn._arrays import FORM, quoted
 from taciturn._display import Displayed
 from taciturn.model.controller import PID, ContinuousController, Controller
 from taciturn.model.cost import Cost
@@ -45,6 +48,7 @@ from taciturn.model.disturbance import Reference
 from taciturn.model.key import Rows
 from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw
+from taciturn.model.names import Names
 from taciturn.model.network import NodeRole
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.signals import ExternalDisturbance, RandomSteps, SetPoint
@@ -59,7 +63,7 @@ _SIMPLE = {
 
 
 def validate(hint: Any, value: object) -> Any:
-    """Return a value that has an annotated type; a table (mapping) becomes an instance of a dataclass.
+    """Check that a value has the annotated type. A table is converted to an instance of its dataclass.
 
     Numbers given as text, and unknown keys of a table, are not accepted.
     """
@@ -73,14 +77,17 @@ def _validator(hint: Any) -> SchemaValidator:
 
 def _schema(hint: Any) -> core_schema.CoreSchema:
     origin, parts = get_origin(hint), get_args(hint)
+    if hint in _ARRAYS:
+        return _array_schema(hint)
     if origin is Literal:
         return core_schema.literal_schema(list(parts))
     if origin in (Union, UnionType):
-        kinds = [_schema(part) for part in parts if part is not NoneType]
+        given = [part for part in parts if part is not NoneType]
+        kinds = [_list_schema(part) if float in given and part in _ARRAYS else _schema(part) for part in given]
         joined = kinds[0] if len(kinds) == 1 else core_schema.union_schema([*kinds])
         return core_schema.nullable_schema(joined) if NoneType in parts else joined
     if origin is list:
-        return core_schema.list_schema(_schema(parts[0]), strict=True)
+        return _list_schema(hint)
     if origin is Sequence:
         return core_schema.list_schema(_schema(parts[0]))
     if origin is dict:
@@ -99,8 +106,39 @@ def _schema(hint: Any) -> core_schema.CoreSchema:
     return _SIMPLE[hint]
 
 
+_ARRAYS = (Rows, list[float], list[float | list[float]])  # types of matrices and vectors
+
+
+def _array_schema(hint: Any) -> core_schema.CoreSchema:
+    """Return the schema of a matrix, whose rows the model checks, or of a vector; a number is the only entry."""
+    number = core_schema.float_schema(strict=True)
+    if hint != Rows:
+        alone = core_schema.no_info_after_validator_function(lambda entry: [entry], number)
+        return _by_form(alone, _list_schema(hint), _list_schema(hint))
+    row = _by_form(number, core_schema.list_schema(number, strict=True), number)
+    other = core_schema.custom_error_schema(
+        core_schema.list_schema(), "matrix", custom_error_message=f"expected a list of rows, such as {FORM}"
+    )
+    return _by_form(number, core_schema.list_schema(row, strict=True), other)
+
+
+def _by_form(
+    number: core_schema.CoreSchema, several: core_schema.CoreSchema, other: core_schema.CoreSchema
+) -> core_schema.CoreSchema:
+    """Return the schema of a number, a list, or another value, so that a mistake names what was meant."""
+
+    def form(value: object) -> str:
+        return "several" if isinstance(value, list) else "number" if isinstance(value, int | float) else "other"
+
+    return core_schema.tagged_union_schema({"number": number, "several": several, "other": other}, form)
+
+
+def _list_schema(hint: Any) -> core_schema.CoreSchema:
+    return core_schema.list_schema(_schema(get_args(hint)[0]), strict=True)
+
+
 class Key(NamedTuple):
-    """A key of a table: its type, whether it must be given, the argument that it states, and a note on its meaning."""
+    """A key of a table: type, argument, note on its meaning, and whether it is required."""
 
     kind: Any
     required: bool
@@ -110,7 +148,7 @@ class Key(NamedTuple):
 
 @cache
 def keys_of(table: Any) -> dict[str, Key]:
-    """Return the keys of a table by name: the fields of its classes, except those that state no key."""
+    """Return the keys of a table, by name, from the fields of the classes that describe the table."""
     found, first = dict[str, Key](), tuple[str, ...]()
     for model in get_args(table)[1:] if get_origin(table) is Annotated else (table,):
         arguments, hints = signature(model).parameters, dict[str, Any]()
@@ -140,7 +178,7 @@ NO_DELAY = ("delay", "buffer")  # keys of a link that have a message of their ow
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class InitialKeys(Displayed):
-    """The keys of the table ``[plant.initial]``, arguments of a plant."""
+    """Keys of the table ``[plant.initial]``: mean and covariance of the initial state."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
@@ -148,7 +186,7 @@ class InitialKeys(Displayed):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class OtherPlantKeys(Displayed):
-    """Keys of ``[plant]`` and ``[plant.actual]`` that state attributes of a plant in another way."""
+    """Keys of ``[plant]`` and ``[plant.actual]`` that are no arguments of the plant's class, such as ``initial``."""
 
     ORDER: ClassVar = (*"ABCDWVE", "dt", "input_limit", "input_rate", "function", "initial", "jumps")  # in messages
     E: Rows | None = field(default=None, metadata={"note": "matrix of {moved}"})
@@ -160,14 +198,14 @@ PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPl
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ActualKeys(Displayed):
-    """The key of ``[plant]`` for the plant that is simulated in its place."""
+    """The key ``actual`` of ``[plant]``, which states the simulated plant if it is not the design plant."""
 
     actual: PlantKeys | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class OtherCostKeys(Displayed):
-    """Keys of ``[cost]`` in place of Q and R."""
+    """Keys of ``[cost]`` that can replace the weights Q and R."""
 
     output_variance: list[float] | None = None
     input_variance: list[float] | None = None
@@ -179,7 +217,7 @@ class OtherCostKeys(Displayed):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class OtherReferenceKeys(Displayed):
-    """Keys of ``[reference]`` that become changes of set-points, or disturbances."""
+    """Keys of ``[reference]`` for set-points that change, and for integral action."""
 
     steps: Annotated[dict[str, Any], RandomSteps] | None = None
     file: str | None = None
@@ -191,7 +229,9 @@ PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class OtherControllerKeys(Displayed):
-    """Keys of ``[controller]`` that state its matrices in another way, and the sign of its feedback."""
+    """Keys of ``[controller]`` that state a PID controller or a file instead of matrices, and the sign of the
+    feedback.
+    """
 
     pid: PIDKeys | list[PIDKeys] | None = field(
         default=None, metadata={"note": "gains; ki per second, kd and the filter's time constant in seconds"}
@@ -208,11 +248,12 @@ ReferenceKeys: TypeAlias = Annotated[dict[str, Any], Reference, SetPoint, OtherR
 EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
 ControllerKeys: TypeAlias = Annotated[dict[str, Any], OtherControllerKeys, Controller, ContinuousController]
 LimitsKeys: TypeAlias = Annotated[dict[str, Any], Limits]
+NamesKeys: TypeAlias = Annotated[dict[str, Any], Names]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class NetworkTable(Displayed):
-    """The keys of the table ``[network]``."""
+    """Keys of the table ``[network]``."""
 
     protocol: str = "ideal"
     actuator_loss: float = 0.0
@@ -242,11 +283,12 @@ class File(Displayed):
     disturbance: list[EntryKeys] | None = None
     controller: ControllerKeys | None = None
     limits: LimitsKeys | None = None
+    names: NamesKeys | None = None
     policy: dict[str, Any]
 
 
 def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()) -> str:
-    """Return the first mistake as one clause: its location, the mistake, and a suggested correction.
+    """Describe the first mistake in a table: where it is, what is wrong, and a correction.
 
     ``within`` are the keys that lead to the table of the class ``root``.
     """
@@ -313,7 +355,7 @@ def _required(path: Sequence[str | int]) -> str:
 
 
 def suggest(word: str, names: Sequence[str], similarity: float = 0.5) -> str:
-    """Return a question that suggests the name that a word abbreviates, or the most similar one; empty if none is."""
+    """Write a question that suggests the most similar of several names. It is empty if none is similar."""
     import difflib  # which only a mistake needs
 
     lowered = {name.lower(): name for name in names}
@@ -324,7 +366,7 @@ def suggest(word: str, names: Sequence[str], similarity: float = 0.5) -> str:
 
 
 def ours(message: str) -> str:
-    """Rewrite the end of a message of pydantic: "Input should be a valid integer" becomes "expected a whole number"."""
+    """Translate a message of pydantic: "Input should be a valid integer" becomes "expected a whole number"."""
     message = message.split(" or instance of ")[0]
     for theirs, ours in _WORDS:
         message = message.replace(theirs, ours)

@@ -1,4 +1,4 @@
-"""Problems without a file: of a policy, or of a function that returns the policy for its parameters.
+"""Problems without a problem file: made from a policy, or from a function that returns a policy.
 
 A policy is studied on the plant, the cost and the network that it was designed for. Its policy kind is a record that
 returns the given policy; the parameters of the kind are those of the function.
@@ -30,7 +30,7 @@ Studied: TypeAlias = Problem | Policy | Callable[..., Policy]
 
 
 def as_problem(name: str, value: object) -> Problem:
-    """Return the problem to study: a problem as it is, or the problem of a policy or of a function that returns one.
+    """Make a problem from a policy, or from a function that returns a policy; return a given problem unchanged.
 
     The first parameter of a function is its tuning parameter. Its values are positive, and integers if it is
     annotated as ``int``. The rate must fall as it increases. A parameter without a default is 1 in the policy that
@@ -42,8 +42,8 @@ def as_problem(name: str, value: object) -> Problem:
         return _problem(value, _Given(value), "the given policy", {})
     if not callable(value):
         raise ProblemError(
-            f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file; or a Policy, or a "
-            "function that returns one"
+            f"{name} is {quoted(value)}; expected a Problem (taciturn.load reads one from a file), a Policy, or a "
+            "function that returns a Policy"
         )
     function = cast("Callable[..., Policy]", value)
     given = list(inspect.signature(function).parameters.values())
@@ -87,40 +87,40 @@ class _Given:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BareKind(Kind):
-    """The kind of a policy without a problem: its design function takes the parameters alone."""
+    """Kind of a policy for which no problem is given. Its design function is the user's, with the parameters only."""
 
     base: Policy | None = None  # the policy that determines plant, cost and network
 
     @cached_property
     def arguments(self) -> Mapping[str, inspect.Parameter]:
-        """The parameters of the function, and the network, which the policy itself states."""
+        """The parameters of the user's function, and the argument ``network``, which the function does not receive."""
         keyword = inspect.Parameter.KEYWORD_ONLY
         own = [one.replace(kind=keyword) for one in inspect.signature(self.design).parameters.values()]
         return {one.name: one for one in (*own, inspect.Parameter("network", keyword))}
 
     @property
     def in_house(self) -> bool:
-        """False: a policy or a function of a user."""
+        """False, because policy or function are the user's."""
         return False
 
     @property
     def identity(self) -> str:
-        """The kind and the fingerprint of its policy."""
+        """Text that identifies the policy in stored results: its kind and its fingerprint."""
         assert self.base is not None
         return f"{self.name} {fingerprint(self.base, self.base.network):016x}"
 
     @property
     def remedy(self) -> str:
-        """The remedy in the message that there is no tuning parameter."""
+        """The remedy in an error message if a policy has no tuning parameter."""
         return "a function that returns the policy for a parameter"
 
     @cached_property
     def hints(self) -> Mapping[str, Any]:
-        """No types: the function checks its arguments."""
+        """Types of the parameters. Empty, because the user's function checks its arguments itself."""
         return {}
 
     def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy for some parameters."""
+        """Call the user's function with the given parameters; return its policy."""
         return self.design(**{name: value for name, value in given.items() if name != "network"})
 
 
@@ -128,14 +128,14 @@ PASSED = "TACITURN_PASSED_PROBLEM"  # environment variable of the started proces
 
 
 def pass_problem(problem: Problem, folder: Path) -> dict[str, str]:
-    """Write a problem to a private folder, and return the environment variable that makes a process read it."""
+    """Write a problem to a private folder. Return the environment variable that names it to a child process."""
     path = folder / "problem.pickle"
     path.write_bytes(pickle.dumps(problem))
     return {PASSED: str(path)}
 
 
 def passed_problem(file: str) -> Problem | None:
-    """Return the problem in a file that the starting process has written, or None for any other file.
+    """Read the problem that the parent process has written to ``file``. Return None if it has not written this file.
 
     Reading a pickle executes code, so a file is read only if the environment of this process names it.
     """

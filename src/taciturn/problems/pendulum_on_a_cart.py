@@ -1,4 +1,4 @@
-"""Step function of ``pendulum-on-a-cart``: an inverted pendulum on a cart with nonlinear dynamics at any angle."""
+"""Step function of ``pendulum-on-a-cart``: nonlinear dynamics of an inverted pendulum on a cart, for any angle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SECONDS = 0.02  # seconds per step
 
 
 def swing(x: Any, u: Any) -> Any:
-    """Return dx/dt for the state of cart position, cart velocity, angle from upright and angular velocity.
+    """Return dx/dt for the state x: cart position, cart velocity, angle from upright, and angular velocity.
 
     With the masses M and m of cart and pendulum, friction b, length l, inertia I, gravity g, force F,
     r = F − b ẋ − m l φ̇² sin φ and D = (M+m)(I+ml²) − (m l cos φ)²,

@@ -1,4 +1,4 @@
-"""Straight-line programs that compute one time step of a loop, with back ends: NumPy (reference), LLVM, Python, C.
+"""Straight-line programs that compute one time step of a loop, and their back ends: NumPy (reference), LLVM, Python, C.
 
 A closed loop is a map from one time step to the next:
 

@@ -1,4 +1,4 @@
-"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs.
+"""Translation of all nodes and links of a policy to one program, which computes inputs from measurements.
 
 ``translate_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
 numbers, and gives the input of the plant, the nodes' copies of it, and whether a packet is sent and arrives on each
@@ -38,18 +38,20 @@ MEASURED, _COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
-    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input."""
+    """Translate all nodes of a policy to a program that computes one time step: from measurement to plant input."""
     policy = policy.in_units
     tick = _measured(policy, network, begin)
     carry_out(tick, policy, policy.steps, policy.model.saturation)
     copies = {
         name: i for copy in copies_of_inputs(policy) for name, i in named(copy.held, tick.read(copy.held)).items()
     }
-    return tick.finish({}, {**named(APPLIED, tick.signals[APPLIED]), **copies, **tick.packets()})
+    kept = [name for one in policy.theory.silence.values() for name in (one.total, one.lasted)]
+    told = {name: i for signal in kept for name, i in named(signal, tick.read(signal)).items()}
+    return tick.finish({}, {**named(APPLIED, tick.signals[APPLIED]), **copies, **told, **tick.packets()})
 
 
 def carry_out(tick: TimeStep, policy: Policy, steps: Iterable[Step], limits: Saturation | None) -> None:
-    """Translate the steps of all nodes after the measurement, and set ``APPLIED`` to the input within its limits."""
+    """Translate the policy steps of all nodes after the measurement. Assign the limited plant input to ``APPLIED``."""
     for step in steps:
         tick.take(step)
     found = {
@@ -71,7 +73,9 @@ class _CopiedInput:
 
 
 def copies_of_inputs(policy: Policy) -> tuple[_CopiedInput, ...]:
-    """Return the copies of inputs that filters and given controllers use, apart from models of the actuator."""
+    """List the copies of the plant input that filters and given controllers use; copies of actuator models are
+    no part.
+    """
     names = {HELD: tuple(range(policy.model.inputs))} | {
         f"{HELD}_{node}": rows for node, rows in policy.applied.values()
     }
@@ -105,7 +109,7 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 
 
 class Informed(TimeStep):
-    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets."""
+    """A time step for real plants: measurements may be missing, and the applied inputs and fates of packets given."""
 
     # Inputs of the program besides those of ``translate_policy``: for each output ``measured``, 1 or 0, if a filter
     # predicts the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is
@@ -114,7 +118,7 @@ class Informed(TimeStep):
     # left out.
 
     def correct(self, signals: Iterable[str]) -> None:
-        """Add the change to memories into which copies of inputs have entered, if the applied input is known."""
+        """Correct the memories that depend on the nodes' copies of the input, if the plant received another input."""
         for signal in sorted(signals):
             held = self.read(signal)
             changes = self.supplied(change_of(signal), len(held))
@@ -124,29 +128,29 @@ class Informed(TimeStep):
             self.signals[signal] = [self.builder.choose(known, *one) for one in zip(moved, held, strict=True)]
 
     def arrives(self, link: str, sent: Truth) -> Truth:
-        """Return whether a packet is sent and arrives, by its fate or else at random."""
+        """Return whether a packet is sent and arrives. Its fate is given, or is drawn at random if it is not given."""
         b, (fate,) = self.builder, self.supplied(fate_of(link), 1)
         told, dropped = b.greater(fate, 0.0), b.greater(0.0, fate)
         return b.both(b.negated(dropped), b.either(super().arrives(link, sent), b.both(sent, told)))
 
     def completed(self, y: Operands, predicted: Operands) -> Operands:
-        """Return the outputs, with the predicted ones in place of those that are not measured."""
+        """Return the plant's outputs. Missing measurements are replaced by predicted values."""
         known = [self.builder.greater(flag, 0.0) for flag in self.supplied(MEASURED, len(y))]
         return [self.builder.choose(*one) for one in zip(known, y, predicted, strict=True)]
 
 
 def change_of(signal: str) -> str:
-    """Return the name of the inputs of a program that change a memory, because other inputs were applied."""
+    """Return the name of the program input that corrects a memory if the plant received another input."""
     return f"change of {signal}"
 
 
 def fate_of(link: str) -> str:
-    """Return the name of the input of a program that tells what becomes of a packet."""
+    """Return the name of the program input that states whether a packet on a link arrives or is dropped."""
     return f"fate of a packet on {link}"
 
 
 def predicted_outputs(policy: Policy) -> Terms | None:
-    """Return the outputs that the filter of a policy predicts before a step, as a sum of signals, or None."""
+    """Return the filter's prediction of the outputs one step ahead as a sum of signals; None without a filter."""
     innovations, model = policy.theory.innovations, policy.model
     if innovations is not None and innovations.signal is None:
         return innovations.predicted
@@ -167,7 +171,7 @@ def predicted_outputs(policy: Policy) -> Terms | None:
 
 
 def translate_command(policy: Policy, network: Network) -> Program | None:
-    """Return the program that computes the command of the controller in a step; None if no signal is a command."""
+    """Return the program that computes the controller's command in one step; None if no signal contains the command."""
     names = {index: (name, i) for name, rows in _commands(policy).items() for i, index in enumerate(rows)}
     tick = _measured(policy, network, Informed)
     for step in policy.steps:
@@ -189,7 +193,7 @@ def _commands(policy: Policy) -> Mapping[str, Sequence[int]]:
 
 
 def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:
-    """Set the signals that the nodes measure to the outputs of the plant."""
+    """Assign the plant's outputs ``y`` to the signals that the nodes measure."""
     for signal, (_, outputs) in policy.measured.items():
         tick.signals[signal] = [y[index] for index in outputs]
 
@@ -202,7 +206,7 @@ def begin_time_step(
     precision: Precision = "float64",
     begin: Begin = TimeStep,
 ) -> TimeStep:
-    """Return a new time step of all nodes of a policy, before its first policy step is translated."""
+    """Create the object that translates one time step of all nodes, before it translates the first policy step."""
     # ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     held = [link_state(link) for link in network.links]
     payloads = encode_payloads(policy, network)
@@ -213,7 +217,9 @@ def begin_time_step(
 
 
 def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
-    """Return a policy step in which a signal, where it is read or assigned, is a matrix times another signal."""
+    """Replace a signal of a policy step by ``factor`` times the signal ``by``, where it is read and where it is
+    assigned.
+    """
     if isinstance(step, Assign) and step.signal == signal:
         return replace(step, branches=({by: factor},))
     if not isinstance(step, Assign) or not any(signal in terms for terms in step.branches):
@@ -228,12 +234,14 @@ def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
 
 
 def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
-    """Return the sum of two vectors."""
+    """Add two vectors of the program entry by entry."""
     return [tick.builder.emit("add", value, other) for value, other in zip(values, more, strict=True)]
 
 
 def deviation(tick: TimeStep, signal: str, followed: str | None, point: Array | None) -> str:
-    """Return the signal with the deviation of a signal from its target, a signal and a point; or the signal itself."""
+    """Return the name of a signal's deviation from its set-point and operating point, or of the signal if it has
+    neither.
+    """
     if followed is None and point is None:
         return signal
     size = len(tick.read(signal))

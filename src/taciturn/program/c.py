@@ -1,4 +1,4 @@
-"""Translation of a program to a C99 function for embedded devices, which computes one time step of one path.
+"""Translation of a program to a C99 function for embedded devices that computes one time step.
 
     static void name(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs)
 
@@ -53,12 +53,12 @@ _DIGITS: Mapping[Precision, int] = {"float64": 17, "float32": 9}
 
 
 def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
-    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``."""
+    """Write the C source of a program as the function ``static void name(constants, inputs, memory, outputs)``."""
     return _Printer(program, name, places, constants).text()
 
 
 def print_root(precision: Precision) -> str:
-    """Return the C source of ``static tac_real tac_root(x)``, a correctly rounded square root."""
+    """Write the C source of ``static tac_real tac_root(x)``, a correctly rounded square root."""
     layout = LAYOUTS[precision]
     word = "uint64_t" if precision == "float64" else "uint32_t"
     return _ROOT.format(
@@ -67,7 +67,7 @@ def print_root(precision: Precision) -> str:
 
 
 def c_literal(value: float, precision: Precision) -> str:
-    """Return a number as a decimal literal of C99 and C++11, with so many digits that it is exact after rounding."""
+    """Write a number as a decimal literal of C99 and C++11, with enough digits to restore its exact value."""
     if precision == "float32":
         value = float(np.float32(value))
     if np.isinf(value):
@@ -77,7 +77,7 @@ def c_literal(value: float, precision: Precision) -> str:
 
 
 def constant_array(kind: str, name: str, values: Sequence[str]) -> str:
-    """Return the C definition of an array of constants, with several constants per line."""
+    """Write the definition of an array of constants in C, with several numbers per line."""
     lines, line = list[str](), ""
     for value in values:
         if line and len(line) + len(value) > 110:
@@ -100,7 +100,7 @@ class _Printer:
         self.words = bool(program.states) and all(state.word for state in program.states)  # a generator of draws
 
     def text(self) -> str:
-        """Return the function."""
+        """Return the C source of the function."""
         program = self.program
         lines = [line for i, op in enumerate(program.ops) if i in self.live for line in self._lines(i, op)]
         kept = [(i, op) for i, op in enumerate(program.following) if self._moves(i, op)]

@@ -58,11 +58,23 @@ NORMAL, UNIFORM = "normal", "uniform"  # an input that is a random number has th
 MOST = 64  # most controls; more would take longer than the rest of a step
 
 
-def with_draws(program: Program) -> Program:
-    """Return a program that computes its random inputs (NORMAL and UNIFORM) by its own generator."""
-    drawn = [name for name in program.inputs if is_entry(name, NORMAL, UNIFORM)]
+def draws_of(program: Program, kind: str) -> list[Name]:
+    """List the random inputs of a program that are of the given kind, ``NORMAL`` or ``UNIFORM``."""
+    return [name for name in program.inputs if is_entry(name, kind)]
+
+
+def with_draws(program: Program, uniforms: int = 0) -> Program:
+    """Replace the random inputs of a program by a random number generator in the program.
+
+    In each step, the generator draws at least ``uniforms`` uniform numbers.
+
+    Programs with equally many normal numbers per step then draw the same normal numbers.
+    """
+    normal, uniform = draws_of(program, NORMAL), draws_of(program, UNIFORM)
+    drawn = [*normal, *uniform]
     if not drawn:
         return program
+    unused = [Entry(UNIFORM, -1 - i) for i in range(uniforms - len(uniform))]
     supplied: dict[Name, int] = {}
     words: list[int] = []
 
@@ -71,7 +83,7 @@ def with_draws(program: Program) -> Program:
         if name not in drawn:
             return None
         if not supplied:
-            words.extend(draw_numbers(builder, drawn, supplied))
+            words.extend(draw_numbers(builder, [*drawn, *unused], supplied))
         return supplied[name]
 
     result = rebuild(program, substitute, range(len(program.states)))
@@ -79,14 +91,14 @@ def with_draws(program: Program) -> Program:
 
 
 def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
-    """Return a program that draws ``count`` uniform random numbers per step, as its outputs."""
+    """Return a program that draws ``count`` uniform random numbers in each step."""
     builder, supplied = Builder(precision), dict[Name, int]()
     following = draw_numbers(builder, [Entry(UNIFORM, i) for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 
 
 def draw_numbers(builder: Builder, names: Sequence[Name], supplied: dict[Name, int]) -> list[int]:
-    """Add the random numbers of a step to the dictionary ``supplied``, and return the next state of the generator."""
+    """Draw the random numbers ``names`` of a step, and add them to ``supplied``. Return the next generator state."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if is_entry(name, NORMAL)]
     for i in range(0, len(normals), 2):
@@ -145,7 +157,7 @@ def _two_normals(b: Builder, word: int) -> tuple[int, int]:
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u for a number u in (0, 1), the squared radius of the Box–Muller method."""
+    """Compute −2 log u for a number u in (0, 1): the squared radius in the Box–Muller method."""
     if b.precision == "float32":
         return single.minus_two_log(b, u)
     # the first three bits of the mantissa select the eighth of [1, 2), and so c
@@ -163,7 +175,7 @@ def minus_two_log(b: Builder, u: int) -> int:
 
 
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
-    """Return the initial state of each path's random generator: four words, stored as the bits of doubles."""
+    """Compute the initial generator state of each path: four words of 64 bits, stored as doubles."""
     # from the seed and the number of the path alone, so path i does not depend on which other paths are run
     # the increment 2^64/φ of SplitMix64, and an odd multiplier that separates the counters of the paths
     key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
@@ -184,7 +196,7 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def with_controls(program: Program) -> Program:
-    """Return a simulation program with control variates as additional sums."""
+    """Add control variates to a simulation program as further sums; they reduce the variance of simulated averages."""
     # If there were more than MOST of them, the program is returned unchanged.
     ops, sums = list(program.ops), dict(program.sums)
     normals = [
@@ -209,7 +221,9 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
+    """Add to the reduced program ``lean`` the control variates of ``program`` that depend on states of ``lean``
+    only.
+    """
     # Its states are those of ``lean``, entry by entry, so that a run may go on with it.
     remembered = {Entry(state.name, state.index) for state in lean.states}
     controls = [name for name in program.sums if isinstance(name, Control)]

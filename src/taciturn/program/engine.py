@@ -1,4 +1,4 @@
-"""Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is missing.
+"""Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is not installed.
 
 A program is a map (z, w) → (z⁺, sums, outputs) of one step, and runs on many paths at a time: the machine code computes
 each operation on vectors with one lane per path (``llvm``), the reference on arrays of all paths (``numpy``). Paths do
@@ -38,7 +38,7 @@ Runner: TypeAlias = Callable[[Array, int, int | None], Run]
 
 
 def prepare(program: Program, exact: bool = False) -> Runner:
-    """Compile a program without inputs, and return the function that runs it for a number of steps."""
+    """Compile a program without inputs. Return a function that runs it for a number of steps."""
     if not machine.available():
         return lambda states, ticks, threads: interpreter.run(program, states, ticks)
     kernel = machine.Kernel(program, "parity" if exact else "fast")
@@ -46,7 +46,7 @@ def prepare(program: Program, exact: bool = False) -> Runner:
 
 
 class Stepper:
-    """Runner for many programs of equal structure, with one simulated path for each program."""
+    """Runs several programs that differ only in their constants, with one simulated path for each."""
 
     def __init__(self, programs: Sequence[Program]) -> None:
         """Compile once for all programs."""
@@ -58,7 +58,7 @@ class Stepper:
         self._offsets = {name: np.array([total[name].offset for total in totals]) for name in totals[0]}
 
     def run(self, states: Array, ticks: int, threads: int | None = None) -> tuple[Array, dict[Name, Array]]:
-        """Return the states and sums of all programs after a number of steps, given the initial states."""
+        """Run all programs for a number of steps from the given states. Return the final states and the sums."""
         if self._kernel is None:
             runs = [interpreter.run(program, states[:, [i]], ticks) for i, program in enumerate(self._programs)]
             sums = {name: np.concatenate([run.sums[name] for run in runs]) for name in self._factors}
@@ -70,7 +70,7 @@ class Stepper:
 
 
 class StepwiseRunner:
-    """Runner for simulated paths of programs that advances step by step, with new inputs at each step."""
+    """Runs all simulated paths of a program, step by step, with new inputs in each step."""
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
         """Group the programs and compile each group."""
@@ -86,11 +86,11 @@ class StepwiseRunner:
             first = end
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step on all paths with given inputs, (inputs, paths), and return the outputs, (outputs, paths)."""
+        """Run one step of all paths with the given inputs (inputs × paths). Return the outputs (outputs × paths)."""
         return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
     def take_sums(self) -> dict[Name, Array]:
-        """Return each sum, (paths,), over the steps since the last call of this method."""
+        """Return the sums over the steps since the last call of this method, with one entry per path."""
         taken = [part.take_sums() for _, part in self._parts]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
 

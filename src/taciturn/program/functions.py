@@ -1,4 +1,4 @@
-"""Elementary functions as operations of a program, bit-identical in every back end, without a mathematical library.
+"""Elementary functions as operations of a program, bit-identical in every back end and without a mathematical library.
 
 ``NUMBERS``, ``COMPARISONS`` and ``LOGIC`` list them by the names of NumPy's functions. Arguments are constants or
 indices of operations. Constant expressions are evaluated in advance; additions of zero and multiplications by one are
@@ -54,7 +54,7 @@ class _FloatFormat(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits."""
+        """Constant whose addition rounds a number to an integer, because the sum has no bits for fractions."""
         # The last bits of the sum are those of the integer.
         return 1.5 * 2.0**self.mantissa
 
@@ -65,7 +65,7 @@ class _FloatFormat(NamedTuple):
 
     @property
     def magnitude(self) -> int:
-        """Bit mask that selects all bits of a number except the sign."""
+        """Bit mask of all bits of a number except the sign bit."""
         return (1 << self.sign) - 1
 
     @property
@@ -80,7 +80,7 @@ class _FloatFormat(NamedTuple):
 
     @property
     def modulus(self) -> int:
-        """Modulus of integer arithmetic on words with the size of a number."""
+        """Modulus 2^n of the integer arithmetic, in which words have as many bits n as a floating-point number."""
         return 2 << self.sign
 
 
@@ -107,12 +107,12 @@ def _sign_bit(b: Builder, x: int) -> int:
 
 
 def signed(b: Builder, x: int, sign: int) -> int:
-    """Return the number x with its sign changed if the sign bit ``sign`` is set."""
+    """Return the number x, with the opposite sign if the bit ``sign`` is set."""
     return b.emit("number", b.emit("word_xor", b.emit("bits", x), sign))
 
 
 def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
-    """Return the integer k nearest to factor·x as a number, and a word whose last bits are those of k."""
+    """Round factor·x to the nearest integer k. Return k as a number, and a word whose last bits are those of k."""
     # |factor·x| must be below 2^51, or 2^22 in single precision. The fast build may round factor·x and the sum once
     # instead of twice. The result then differs only for ties, where callers accept both neighbours.
     shift = b.constant(LAYOUTS[b.precision].shift)
@@ -153,7 +153,7 @@ _EXPONENTIALS = {
 
 
 def falling(b: Builder, x: int) -> int:
-    """Return e^{−x}, limited to at most 1 (for x < 0) and at least e^{−700}, or e^{−80} in single precision."""
+    """Compute e^{−x}, but at most 1 and at least e^{−700} (e^{−80} in single precision)."""
     # the exponent −max(x, 0), limited to at least ``least`` so that 2^k is a normal number
     zero, least = b.constant(0.0), b.constant(_EXPONENTIALS[b.precision].least)
     exponent = b.emit("sub", zero, b.emit("select", b.emit("greater", x, zero), x, zero))
@@ -161,17 +161,17 @@ def falling(b: Builder, x: int) -> int:
 
 
 def exponential_of(b: Builder, x: int) -> int:
-    """Return e^x, saturated at e^{−708} and e^{709}, or e^{−87} and e^{88} in single precision."""
+    """Compute e^x, but between e^{−708} and e^{709} (between e^{−87} and e^{88} in single precision)."""
     return _exponential(b, _saturated(b, x))
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
-    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential_of``."""
+    """Compute e^x − 1 accurately even for small x, with x limited to the same range as in ``exponential_of``."""
     return _less_one(b, _saturated(b, x))
 
 
 def hyperbolic_tangent(b: Builder, x: int) -> int:
-    """Return tanh x = E/(E + 2), where E = e^{2x} − 1."""
+    """Compute tanh x = E/(E + 2), where E = e^{2x} − 1."""
     # computed for |x|, where E ≥ 0 and nothing cancels; the sign of x is set at the end. 2|x| is limited to ``flat``,
     # from which on the quotient rounds to 1.
     twice, flat = b.scale(2.0, _absolute_value(b, x)), b.constant(_EXPONENTIALS[b.precision].flat)
@@ -180,7 +180,7 @@ def hyperbolic_tangent(b: Builder, x: int) -> int:
 
 
 def logarithm(b: Builder, x: int) -> int:
-    """Return log x, which is −∞ for 0 and NaN for negative x."""
+    """Compute log x. The result is −∞ for x = 0, and NaN for negative x."""
     # with the f of the header, log(1 + f) = 2 artanh s, s = f/(2 + f)
     f, layout, zero = _EXPONENTIALS[b.precision], LAYOUTS[b.precision], b.constant(0.0)
     # a subnormal x has fewer bits: it is multiplied by 2^lift, and lift is subtracted from k below
@@ -304,12 +304,12 @@ def tangent(b: Builder, x: int) -> int:
 
 
 def arctangent(b: Builder, x: int) -> int:
-    """Return arctan x, in [−π/2, π/2]."""
+    """Compute arctan x, an angle in [−π/2, π/2]."""
     return signed(b, _angle(b, _absolute_value(b, x), b.constant(1.0)), _sign_bit(b, x))
 
 
 def direction(b: Builder, y: int, x: int) -> int:
-    """Return the angle of the point (x, y), in [−π, π]; the angle of the origin is 0 or π, depending on the sign of x.
+    """Compute the angle of the point (x, y) in [−π, π]. For the origin, it is 0 or π by the sign bit of x.
 
     Larger coordinates are replaced by 2^1020 (2^124 in single precision), so that two infinities give π/4.
     """
@@ -446,7 +446,7 @@ def multiply(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
 
 
 def divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return x/y; a division by a power of two is an exact multiplication."""
+    """Compute x/y. If y is a constant power of two, x is multiplied by 1/y, which is exact."""
     if equals(x, 0.0) or equals(y, 1.0):
         return x
     if isinstance(y, float) and y.hex().lstrip("-").startswith("0x1.0000000000000p") and 2**-1000 < abs(y) < 2**1000:
@@ -460,7 +460,7 @@ def _negate(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def power(b: Builder, x: Coefficient, exponent: Coefficient) -> Coefficient:
-    """Return the power x^p by repeated squaring, for an integer or half-integer p."""
+    """Compute x^p by repeated squaring, for an integer or half-integer exponent p."""
     if isinstance(exponent, int) or not (2 * exponent).is_integer():
         got = "a traced number" if isinstance(exponent, int) else f"{exponent:g}"
         raise ProblemError(
@@ -486,17 +486,17 @@ def sign(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def minimum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the smaller of two numbers x and y."""
+    """Return the smaller of the two numbers x and y."""
     return _extreme(b, x, y, less=True)
 
 
 def maximum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the larger of two numbers x and y."""
+    """Return the larger of the two numbers x and y."""
     return _extreme(b, x, y, less=False)
 
 
 def clip(b: Builder, x: Coefficient, low: Coefficient, high: Coefficient) -> Coefficient:
-    """Return the number x limited to the range from low to high."""
+    """Limit the number x to the range from ``low`` to ``high``."""
     return minimum(b, maximum(b, x, low), high)
 
 
@@ -510,13 +510,13 @@ def _round_off(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def floor(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the largest integer not above x."""
+    """Round x down to an integer."""
     value, whole = b.value(x), b.value(_round_off(b, x))
     return b.emit("select", b.emit("greater", whole, value), b.emit("sub", whole, b.constant(1.0)), whole)
 
 
 def ceil(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the smallest integer not below x."""
+    """Round x up to an integer."""
     value, whole = b.value(x), b.value(_round_off(b, x))
     return b.emit("select", b.emit("greater", value, whole), b.emit("add", whole, b.constant(1.0)), whole)
 

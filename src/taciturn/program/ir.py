@@ -1,4 +1,4 @@
-"""Straight-line programs of one time step of a loop or a node, in single-assignment form, and their builder.
+"""Straight-line programs for one time step of a loop or a node, in single-assignment form, and their builder.
 
 ``Builder`` collects operations. Equal ones are stored once, and what is known in advance is not computed: products with
 zero and one, sums of nothing, rows of a matrix that are zero. Large constant matrices become one operation.
@@ -13,10 +13,11 @@ A program that became smaller is merged again: its operations may have been simp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence, Set
+from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
+from typing import TypeVar
 
 from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Name, Named, Op, Precision, State, Total, needed, tiles
 
@@ -25,10 +26,12 @@ _FULL = 4  # least number of nonzero coefficients of a column that takes part in
 Coefficient = float | int  # a float is a known constant; an int is the index of an operation
 Truth = int | bool  # an operation, or a truth value that is known during the translation
 
+T = TypeVar("T", bound=Hashable)
+
 
 @dataclass(frozen=True)
 class Program:
-    """Program of one time step, which maps states, inputs and constants to next states, sums and outputs."""
+    """Program for one time step: it computes next states, sums and outputs from states, inputs and constants."""
 
     ops: tuple[Op, ...]  # operations in order; each reads earlier ones only
     states: tuple[State, ...]  # scalars that keep their value from step to step
@@ -43,14 +46,16 @@ class Program:
 
     @cached_property
     def operations(self) -> int:
-        """Number of arithmetic operations in one step; a matrix product counts its multiplications and additions."""
+        """Number of arithmetic operations per step. A matrix product counts with all its multiplications and
+        additions.
+        """
         single = sum(op.name not in ("const", "state", "input", "word", "half", "product", "entry") for op in self.ops)
         products = [self.matrices[op.arguments[0]] for op in self.ops if op.name == "product"]
         return single + sum(2 * tile.rows * (tile.end - tile.begin) for rows in products for tile in tiles(rows))
 
     @property
     def structure(self) -> Hashable:
-        """Key that is the same for programs that differ only in their constants, so that these can run together."""
+        """Key that programs share if they differ only in their constants, so that one machine code runs all of them."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
         names = (tuple(self.sums.items()), tuple(self.outputs.items()))
         sizes = (len(self.constants), *(len(table) for table in self.tables))
@@ -61,7 +66,7 @@ class Program:
 
     @property
     def totals(self) -> dict[Name, Total]:
-        """Sums over steps, each with a constant factor and term that are applied once, after the last step."""
+        """Sums over the steps, by name. Factor and offset of a sum, which are constant, apply after the last step."""
         return {name: self._total(index) for name, index in self.sums.items()}
 
     def _total(self, index: int) -> Total:
@@ -85,7 +90,7 @@ class Program:
     def keep(
         self, sums: Set[Name] = frozenset(), outputs: Set[Name] = frozenset(), states: Set[str] = frozenset()
     ) -> Program:
-        """Return the program reduced to given sums, outputs and states, and to the operations that these need."""
+        """Reduce the program to the named sums, outputs and states, and the operations that these need."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
         smaller = replace(self, sums=kept_sums, outputs=kept_outputs)
@@ -94,7 +99,7 @@ class Program:
 
 
 class Builder:
-    """Builder of a program: collects the operations of one time step, and stores equal operations once."""
+    """Collects the operations of one time step, stores equal operations once, and builds a program from them."""
 
     def __init__(self, precision: Precision = "float64") -> None:
         """Start without operations."""
@@ -106,10 +111,11 @@ class Builder:
         self.states: list[State] = []
         self.inputs: list[Name] = []
         self.known: dict[tuple[str, tuple[int, ...]], int] = {}
-        self._constant_index: dict[float | str, int] = {}
+        self._constants: dict[float | str, int] = {}  # the operation that gives each constant
+        self._places: dict[Hashable, int] = {}  # of states, inputs, tables and matrices in their lists
 
     def emit(self, name: str, *arguments: int) -> int:
-        """Return the index of an operation; the operation is added if no equal one exists."""
+        """Return the index of an operation. The operation is added unless an equal one exists."""
         new = len(self.ops)
         found = self.known.setdefault((name, arguments), new)
         if found == new:
@@ -117,45 +123,47 @@ class Builder:
         return found
 
     def constant(self, value: float) -> int:
-        """Return the index of the operation that gives a constant."""
+        """Return the index of the operation whose value is the constant ``value``."""
         key = float(value) or str(value)  # 0.0 == −0.0, but the two constants have different bits
-        if key not in self._constant_index:
-            self._constant_index[key] = len(self.constants)
+        if key not in self._constants:
             self.constants.append(float(value))
-        return self.emit("const", self._constant_index[key])
+            self._constants[key] = self.emit("const", len(self.constants) - 1)
+        return self._constants[key]
 
     def state(self, state: State) -> int:
-        """Return the operation that reads a state at the start of the step; a new state is declared."""
-        if state not in self.states:
-            self.states.append(state)
-        return self.emit("state", self.states.index(state))
+        """Return the index of the operation that reads a state. A new state is declared."""
+        return self.emit("state", self._place(self.states, state))
 
     def input(self, name: Name) -> int:
-        """Return the operation that reads the input with a given name, whose value is supplied at each step."""
-        if name not in self.inputs:
-            self.inputs.append(name)
-        return self.emit("input", self.inputs.index(name))
+        """Return the index of the operation that reads a named input. The caller of the program gives its value in each
+        step.
+        """
+        return self.emit("input", self._place(self.inputs, name))
 
     def lookup(self, values: Sequence[float], index: int) -> Coefficient:
-        """Return the table entry values[index], or a constant if all values are equal."""
+        """Look up the entry ``values[index]`` of a table. If all entries are equal, their value becomes a constant."""
         if len(set(values)) == 1:
             return float(values[0])
         return self.emit("lookup", self._table(values), index)
 
     def pick(self, values: Sequence[float], word: int) -> int:
-        """Return the entry of an eight-entry table that the last three bits of a word select."""
+        """Select an entry of a table of eight by the last three bits of a word."""
         assert len(values) == EIGHT
         return self.emit("pick", self._table(values), word)
 
     def _table(self, values: Sequence[float]) -> int:
         """Return the index of a table, and store the table if it is new."""
-        row = tuple(float(value) for value in values)
-        if row not in self.tables:
-            self.tables.append(row)
-        return self.tables.index(row)
+        return self._place(self.tables, tuple(float(value) for value in values))
+
+    def _place(self, listed: list[T], one: T) -> int:
+        """Return the place of an entry in its list, where it is appended if it is new."""
+        found = self._places.setdefault((id(listed), one), len(listed))
+        if found == len(listed):
+            listed.append(one)
+        return found
 
     def value(self, coefficient: Coefficient | None) -> int:
-        """Return the operation that gives the value of a coefficient; an empty sum (None) is 0."""
+        """Return the index of the operation whose value is a coefficient. None, the empty sum, has the value 0."""
         if isinstance(coefficient, int):
             return coefficient
         return self.constant(0.0 if coefficient is None else coefficient)
@@ -167,7 +175,7 @@ class Builder:
         return x if equals(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
 
     def add(self, *terms: int | None) -> int | None:
-        """Return the sum of all terms that are not None, added from the left; None if all terms are None."""
+        """Add all terms that are not None, from left to right. Return None if all are None."""
         total: int | None = None
         for term in terms:
             if term is not None:
@@ -175,7 +183,7 @@ class Builder:
         return total
 
     def combine(self, coefficients: Sequence[Coefficient], values: Sequence[int]) -> int | None:
-        """Return Σ coefficient·value, added from the left; None if all coefficients are zero."""
+        """Compute Σ coefficient·value from left to right. Return None if all coefficients are zero."""
         # a single chain of sums, which become fused multiply-adds in the fast build; two half chains were 6 % slower
         total: int | None = None
         for coefficient, value in zip(coefficients, values, strict=True):
@@ -188,7 +196,7 @@ class Builder:
         return total
 
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
-        """Return the product of a matrix and a vector, row by row, or as one operation for a large constant matrix."""
+        """Multiply a matrix by a vector: row by row or, if the matrix is large and constant, with one operation."""
         # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
         full = [sum(not equals(c, 0.0) for c in column) >= _FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
@@ -203,20 +211,20 @@ class Builder:
         ]
 
     def product(self, rows: MatrixRows, values: Sequence[int]) -> int:
-        """Return the product of a constant matrix and a vector of values as one operation."""
-        if rows not in self.matrices:
-            self.matrices.append(rows)
-        return self.emit("product", self.matrices.index(rows), *values)
+        """Multiply a constant matrix by a vector, as one operation of the program."""
+        return self.emit("product", self._place(self.matrices, rows), *values)
 
     def polynomial(self, coefficients: Sequence[float], x: int) -> int:
-        """Return the polynomial Σ coefficient·x^i by Horner's rule: one multiplication and one addition per power."""
+        """Evaluate the polynomial Σ coefficient·x^i by Horner's rule, with one multiplication and one addition per
+        power.
+        """
         total = self.constant(coefficients[-1])
         for coefficient in coefficients[-2::-1]:
             total = self.emit("add", self.emit("mul", total, x), self.constant(coefficient))
         return total
 
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
-        """Return the quadratic form v'Ψv for a symmetric matrix Ψ; None if Ψ is zero."""
+        """Compute v'Ψv for a symmetric matrix Ψ. Return None if Ψ is zero."""
         # v'Ψv = Σ_i v_i (Ψ_ii v_i + Σ_{j>i} 2Ψ_ij v_j): the upper triangle holds every pair once.
         # Rows without off-diagonal terms are grouped by weight: ψ v_1² + ψ v_2² = ψ (v_1² + v_2²).
         alone: dict[int, list[int]] = {}
@@ -243,7 +251,7 @@ class Builder:
         return total
 
     def choose(self, truth: Truth, yes: int, no: int) -> int:
-        """Return the number ``yes`` if the truth value ``truth`` is true, and ``no`` otherwise."""
+        """Select the number ``yes`` if ``truth`` is true, and ``no`` otherwise."""
         if isinstance(truth, bool):
             return yes if truth else no
         if yes == no:
@@ -255,7 +263,7 @@ class Builder:
         return self.emit("select", truth, yes, no)
 
     def both(self, one: Truth, other: Truth) -> Truth:
-        """Return whether both truth values are true."""
+        """Return the logical AND of two truth values."""
         if isinstance(one, bool):
             return one and other
         if isinstance(other, bool):
@@ -263,7 +271,7 @@ class Builder:
         return self.emit("and", one, other)
 
     def either(self, one: Truth, other: Truth) -> Truth:
-        """Return whether at least one of two truth values is true."""
+        """Return the logical OR of two truth values."""
         if isinstance(one, bool):
             return one or other
         if isinstance(other, bool):
@@ -271,26 +279,26 @@ class Builder:
         return self.negated(self.both(self.negated(one), self.negated(other)))
 
     def negated(self, truth: Truth) -> Truth:
-        """Return whether a truth value is false."""
+        """Return the logical NOT of a truth value."""
         if isinstance(truth, bool):
             return not truth
         op = self.ops[truth]
         return op.arguments[0] if op.name == "not" else self.emit("not", truth)
 
     def less_equal(self, one: Coefficient, other: Coefficient) -> Truth:
-        """Return whether a number is at most another."""
+        """Return the truth value of one ≤ other."""
         return self.emit("less_equal", self.value(one), self.value(other))
 
     def greater(self, one: Coefficient, other: Coefficient) -> Truth:
-        """Return whether a number is greater than another."""
+        """Return the truth value of one > other."""
         return self.emit("greater", self.value(one), self.value(other))
 
     def finish(self, following: Sequence[int], sums: Named, outputs: Named | None = None) -> Program:
-        """Return the collected program; equal states are merged, and unused operations are removed."""
+        """Build the program: merge equal states, and remove operations without effect."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
     def collect(self, following: Sequence[int], sums: Named, outputs: Named) -> Program:
-        """Return the collected operations as a program without simplification."""
+        """Build the program from the collected operations, without simplifying it."""
         return Program(
             tuple(self.ops),
             tuple(self.states),
@@ -306,7 +314,7 @@ class Builder:
 
 
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
-    """Return a copy of a program with only the given states; ``substitute`` can replace a ``state`` or ``input``."""
+    """Copy a program with only the given states. ``substitute`` may replace operations that read states or inputs."""
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program.ops, roots))
     builder = Builder(program.precision)
@@ -335,16 +343,50 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     return rebuild(found, lambda builder, op: None, range(len(states))) if chosen else found
 
 
+def joined(first: Program, second: Program, sums: Mapping[Name, tuple[Name | None, Name, float]]) -> Program:
+    """Return two programs as one, with the same inputs and the sums of the first.
+
+    ``sums`` adds sums: a sum of the first, or nothing, minus a sum of the second, plus a constant.
+    """
+    builder, places = Builder(first.precision), list[list[int]]()
+    for state in (*first.states, *second.states):  # of different names
+        builder.state(state)
+    for program in (first, second):
+        new = list[int]()
+        for op in program.ops:
+            moved = tuple(new[argument] for argument in op.arguments) if op.name not in LITERAL else ()
+            new.append(builder.emit(op.name, *moved) if moved else _copy(program, builder, op, new))
+        places.append(new)
+    one, other = places
+    following = [*(one[i] for i in first.following), *(other[i] for i in second.following)]
+    found = {name: one[index] for name, index in first.sums.items()}
+    for name, (minuend, subtrahend, constant) in sums.items():
+        before = builder.constant(constant) if minuend is None else one[first.sums[minuend]]
+        found[name] = builder.emit("sub", before, other[second.sums[subtrahend]])
+    return builder.finish(following, found, {name: one[index] for name, index in first.outputs.items()})
+
+
 def merge_states(program: Program) -> Program:
-    """Return a program without redundant states: equal states are merged, and states without effect are removed."""
-    found = _merged_once(program)
-    while (len(found.states), len(found.ops)) != (len(program.states), len(program.ops)):
-        program, found = found, _merged_once(found)
-    return found
+    """Merge the states of a program that are always equal, and remove states without effect."""
+    leader = _leaders(program)
+    while True:
+        found = _pruned(program, leader)
+        if (len(found.states), len(found.ops)) == (len(program.states), len(program.ops)):
+            return found
+        program, leader = found, _leaders(found)
+        if leader == list(range(len(found.states))) and _necessary(found):
+            return found
 
 
-def _merged_once(program: Program) -> Program:
-    """Return a program without the states that are redundant as its operations are written."""
+def _necessary(program: Program) -> bool:
+    """Return whether a program without equal states needs all of its states and operations."""
+    alive = _alive(program, range(len(program.states)), set())
+    roots = [*program.following, *program.sums.values(), *program.outputs.values()]
+    return len(alive) == len(program.states) and len(needed(program.ops, roots)) == len(program.ops)
+
+
+def _leaders(program: Program) -> list[int]:
+    """Return the leader of the class of each state, as the operations are written."""
     starts: dict[object, int] = {}
     leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
     live = sorted(needed(program.ops, program.following))
@@ -353,9 +395,8 @@ def _merged_once(program: Program) -> Program:
         classes: dict[tuple[int, int], int] = {}
         split = [classes.setdefault((leader[i], same[op]), i) for i, op in enumerate(program.following)]
         if split == leader:
-            break
+            return leader
         leader = split
-    return _pruned(program, leader)
 
 
 def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -> list[int]:
@@ -424,5 +465,5 @@ def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int
 
 
 def equals(coefficient: Coefficient, number: float) -> bool:
-    """Return whether a coefficient is a constant and equals a number."""
+    """Return whether a coefficient is a constant that equals the given number."""
     return isinstance(coefficient, float) and coefficient == number

@@ -1,4 +1,4 @@
-"""Translation of a program to LLVM IR, on vectors with one lane per path; states stay in registers between steps.
+"""Translation of a program to LLVM IR on vectors, with one lane per path. States stay in registers between steps.
 
 The generated function runs blocks of ``lanes`` paths for any number of steps:
 
@@ -63,7 +63,7 @@ _SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
 
 @dataclass(frozen=True)
 class Target:
-    """Description of a processor for the compiler LLVM."""
+    """Description of a processor for the LLVM compiler."""
 
     triple: str  # architecture, vendor, and system
     cpu: str  # name of the processor; empty: any processor of the architecture
@@ -71,19 +71,21 @@ class Target:
 
     @property
     def permutes(self) -> int:
-        """Number of doubles that one instruction permutes by computed positions: 8 (AVX-512), 4 (AVX2) or 0."""
+        """How many doubles one instruction can permute by computed indices: 8 (AVX-512), 4 (AVX2), or 0 (no
+        instruction).
+        """
         if self.triple.partition("-")[0] not in ("x86_64", "amd64", "i686", "i386"):
             return 0
         return 8 if self._has("avx512f") else 4 if self._has("avx2") else 0
 
     @property
     def lanes(self) -> int:
-        """Number of doubles in the widest vector of the processor; 2 (SSE2, NEON) if it is unknown."""
+        """How many doubles the processor's widest vector register contains; 2 (SSE2, NEON) for an unknown processor."""
         return self.permutes or 2
 
     @property
     def heading(self) -> str:
-        """First lines of an LLVM module for this processor."""
+        """First lines of an LLVM module for this processor: the target's name, and a symbol that Windows needs."""
         lines = [f'target triple = "{self.triple}"']
         if "windows" in self.triple:
             lines.append("@_fltused = global i32 0")  # a symbol that the linker requires for floating-point code
@@ -91,11 +93,11 @@ class Target:
 
     @property
     def attributes(self) -> str:
-        """Attributes that specify this processor in an LLVM function."""
+        """Attributes of an LLVM function that name this processor."""
         return f'"target-cpu"="{self.cpu}" "target-features"="{self.features}"'
 
     def limited(self, vectors: str) -> Target:
-        """Return a description of this processor, limited to a given set of vector instructions."""
+        """Restrict the description of this processor to a set of vector instructions, such as ``avx2``."""
         there = {"avx512": self.permutes == 8, "avx2": self.permutes >= 4}
         known = [name for name, has in there.items() if has] + ["baseline"]
         if not vectors or vectors == known[0]:
@@ -103,7 +105,8 @@ class Target:
         if vectors not in known:
             lacks = f", which this processor ({self.cpu}) does not support" if vectors in there else ""
             raise ProblemError(
-                f"{VECTORS} is {vectors!r}{lacks}; expected one of {', '.join(known)}, or no value for the widest"
+                f"{VECTORS} is {vectors!r}{lacks}; expected one of {', '.join(known)}: leave the variable unset for "
+                "the widest vectors of this processor"
             )
         if vectors == "baseline":
             return replace(self, cpu="", features="")
@@ -118,12 +121,12 @@ class Target:
 
 
 def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
-    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
+    """Write an LLVM module with a function ``run``, which runs a program for many steps and paths."""
     return _Printer(program, target, lanes, build, own).text()
 
 
 def constants_of(program: Program) -> list[float]:
-    """Return all constants of a program in the order in which the machine code reads them."""
+    """List the constants of a program in the order in which the machine code reads them."""
     # These are the constants, the tables, and the tiles of the matrices column by column.
     tables = (value for table in program.tables for value in table)
     matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _tile_columns(matrix, tile))
@@ -283,7 +286,7 @@ class _Body(_CodeLines):
         self.label = ""  # label of the current basic block
 
     def operations(self, indices: Iterable[int]) -> None:
-        """Write the LLVM IR of operations in the given order, in which each must come after its operands."""
+        """Write operations as LLVM IR in the given order, in which each operation follows its operands."""
         for index in indices:
             op = self.program.ops[index]
             if op.name == "product":
@@ -294,7 +297,7 @@ class _Body(_CodeLines):
                 self.names[index] = self._operation(op.name, op.arguments)
 
     def kind(self, index: int) -> str:
-        """Return the LLVM type of the value of an operation."""
+        """Return the LLVM type of an operation's value."""
         name = self.program.ops[index].name
         if name in ("greater", "less_equal", "and", "not", "any_bit"):
             return self.truths
@@ -303,7 +306,7 @@ class _Body(_CodeLines):
         return self.halves if self.names[index] in self.halves_known else self.words
 
     def added_up(self, index: int, before: str) -> str:
-        """Return the LLVM instruction that adds the value of this step to a sum over steps."""
+        """Write the LLVM instruction that adds the value of an operation in this step to its sum over the steps."""
         if index not in self.summed:
             return f"fadd {self.flags}{self.numbers} {before}, {self.names[index]}"
         one, other = (self.names[i] for i in self.program.ops[index].arguments)
@@ -322,7 +325,7 @@ class _Body(_CodeLines):
         return self._new(self.multiply_add(one, other, rest))
 
     def multiply_add(self, one: str, other: str, term: str) -> str:
-        """Return the LLVM instruction for one·other + term, which is rounded once if the processor supports this."""
+        """Write the LLVM instruction for one·other + term. It rounds only once if the processor can do this."""
         V = self.numbers
         return f"call {self.flags}{V} @llvm.fmuladd.v{self.lanes}f{self.bits}({V} {one}, {V} {other}, {V} {term})"
 

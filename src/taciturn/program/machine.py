@@ -1,4 +1,4 @@
-"""Compilation of programs in LLVM IR with llvmlite, a cache of their object code, and execution on several threads.
+"""Compilation of LLVM IR with llvmlite, a cache of object code on disk, and execution on several threads.
 
 Only this module calls llvmlite. ``Kernel`` is the machine code of all programs of one structure. It runs blocks of
 paths, which do not interact, on as many threads as are worth starting. Programs use the widest vectors of the
@@ -50,7 +50,7 @@ _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 
 
 
 class Kernel:
-    """Compiled machine code for all programs that differ only in their constants."""
+    """Machine code of all programs that differ only in their constants."""
 
     def __init__(self, program: Program, build: Build = "fast", own: bool = False, lanes: int | None = None) -> None:
         """Compile the program, or read its object code from the cache."""
@@ -60,12 +60,12 @@ class Kernel:
         self._code = _load(_print(_Printable(program.structure, program), host(), self.lanes, build, own))
 
     def pack(self, programs: Sequence[Program], paths: Sequence[int] | int = 1) -> Array:
-        """Return the constants of several programs, for each path, in memory layout, (blocks, constants, lanes)."""
+        """Arrange the constants of several programs as the machine code reads them: (blocks, constants, lanes)."""
         known = np.array([constants_of(program) for program in programs])
         return _into_blocks(np.repeat(known, paths, axis=0).T, self.lanes)
 
     def known(self, program: Program, constants: Array | None) -> Array:
-        """Return constants in memory layout: those of each path (``pack``), or those that all paths share."""
+        """Arrange constants as the machine code reads them: given ones for each path, or the same for all paths."""
         assert self.own == (constants is not None), (
             "constants per path are supplied to a kernel with shared constants, or are missing"
         )
@@ -80,7 +80,7 @@ class Kernel:
         threads: int | None = None,
         constants: Array | None = None,
     ) -> Run:
-        """Run a program for ``ticks`` steps on every path, as :func:`taciturn.program.numpy.run` does."""
+        """Run a program for ``ticks`` steps of every path, like :func:`taciturn.program.numpy.run`."""
         # if each path has its own ``constants`` (``pack``), the sums exclude the factors and offsets of the totals
         paths, lanes = states.shape[1], self.lanes
         blocks = -(-paths // lanes)
@@ -124,13 +124,13 @@ class Kernel:
         )
 
     def call(self, first: int, end: int, ticks: int, arrays: Sequence[Array]) -> None:
-        """Run the machine code on blocks of paths, with arrays of states, sums, constants, inputs and outputs."""
+        """Run the machine code on some blocks of paths. ``arrays`` are states, sums, constants, inputs and outputs."""
         if first < end and ticks > 0:
             self._code.function(first, end, ticks, *(a.ctypes.data for a in arrays))
 
 
 class Resident:
-    """Runner for simulated paths of a compiled program that advances step by step, with new inputs at each step."""
+    """Runs all paths of a compiled program, step by step, with new inputs in each step."""
 
     def __init__(self, kernel: Kernel, program: Program, states: Array, constants: Array | None = None) -> None:
         """Arrange the states in blocks."""
@@ -142,13 +142,15 @@ class Resident:
         self._arrays = state, self._sums, kernel.known(program, constants), self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step on all paths with given inputs, (inputs, paths), and return the outputs, (outputs, paths)."""
+        """Run one step of all paths with the given inputs (inputs × paths). Return the outputs (outputs × paths)."""
         self._inputs[:] = _into_blocks(inputs, self._kernel.lanes)
         self._kernel.call(0, len(self._inputs), 1, self._arrays)
         return _from_blocks(self._outputs, self._paths).copy()
 
     def take_sums(self) -> Array:
-        """Return the sums over the steps since the last call, (sums, paths), before factors and offsets are applied."""
+        """Return the sums over the steps since the last call (sums × paths). Factors and offsets are not yet
+        applied.
+        """
         taken = _from_blocks(self._sums, self._paths).copy()
         self._sums[:] = 0.0
         return taken
@@ -161,7 +163,7 @@ def forget() -> None:
 
 @cache
 def available() -> bool:
-    """Return whether the compiler llvmlite can be imported; warn once if it cannot."""
+    """Check whether llvmlite, the compiler, can be imported. If not, print a warning once."""
     try:
         _llvm()
     except ImportError as error:
@@ -172,7 +174,7 @@ def available() -> bool:
 
 @contextlib.contextmanager
 def one_thread() -> Generator[None]:
-    """Return a context in which programs run on the calling thread only, for use in one of several processes."""
+    """While the block runs, run programs on the calling thread only. Used if several processes simulate."""
     before = _ALONE.set(True)
     try:
         yield
@@ -181,7 +183,7 @@ def one_thread() -> Generator[None]:
 
 
 def available_processors() -> int:
-    """Return the number of processors on which programs can run."""
+    """Return how many processors this process may use. The number is 1 inside ``one_thread``."""
     if _ALONE.get():
         return 1
     affinity: Callable[[int], set[int]] | None = getattr(os, "sched_getaffinity", None)  # exists on Linux only
@@ -190,7 +192,9 @@ def available_processors() -> int:
 
 @cache
 def host() -> Target:
-    """Return a description of this processor, with the vector size that an environment variable selects."""
+    """Describe this processor for LLVM. The environment variable ``TACITURN_VECTORS`` limits its vector
+    instructions.
+    """
     llvm = _llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -248,7 +252,7 @@ def _load(text: str) -> _Code:
 
 
 def compile_object(text: str, target: Target) -> bytes:
-    """Return the object code of an LLVM IR text, for the processor that the text names."""
+    """Compile LLVM IR to object code for the processor that the IR names."""
     carried = text.startswith(target.heading) and target.attributes in text
     assert carried, f"the text is for a processor other than {target}: LLVM would terminate the process"
     llvm, machine = _llvm(), _machine(target)
@@ -288,7 +292,7 @@ def _from_blocks(blocks: Array, paths: int) -> Array:
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of the cache, created with mode 0700 if needed, or None if no folder can be trusted."""
+    """Create the cache folder, with mode 0700, if it is missing. Return None if no folder is safe from other users."""
     folder = _place()
     if folder is None:
         return None
@@ -314,7 +318,9 @@ def cache_folder() -> Path | None:
 
 
 def read_code(folder: Path, key: str) -> bytes | None:
-    """Return the cached object code of a program, or None if no complete and trusted file exists."""
+    """Read the object code of a program from the cache. Return None unless the file is complete and safe from other
+    users.
+    """
     path = folder / f"{key}.o"
     try:
         with open_regular(path) as file:
@@ -335,7 +341,7 @@ def read_code(folder: Path, key: str) -> bytes | None:
 
 
 def write_code(folder: Path, key: str, code: bytes, most: int) -> None:
-    """Store object code in the cache atomically; delete the least recently used files beyond ``most``."""
+    """Write object code to the cache atomically. Keep at most ``most`` files: delete the least recently used ones."""
     with contextlib.suppress(OSError):  # without a writable folder, every process compiles its programs
         write_whole(folder / f"{key}.o", _digest(key, code) + code, private=True)
         if len(os.listdir(folder)) > most + most // _SPARE:

@@ -1,4 +1,4 @@
-"""Translation of the policy steps of the nodes at one site to programs, with arriving packets as inputs.
+"""Translation of the policy steps at one site to programs, whose inputs include the packets that arrive.
 
 A time step has one or two parts. The first part ends with the last output of the node, a packet or the input of the
 plant. Later policy steps that read a packet or an acknowledgement form the second part. This part runs when the next
@@ -51,7 +51,7 @@ _NEVER = 1 << 62
 
 @dataclass(frozen=True, eq=False)
 class NodeProgram:
-    """Programs of one time step of the nodes at one site of a policy."""
+    """The programs that the nodes of a site run in each time step."""
 
     # Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a
     # link, the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a
@@ -71,7 +71,7 @@ class NodeProgram:
 def translate_node(
     policy: Policy, site: frozenset[str], network: Network, precision: Precision = "float64"
 ) -> NodeProgram:
-    """Return the programs of one time step of the nodes at one site of a policy."""
+    """Translate the policy steps of a site's nodes to programs of one time step."""
     policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
     _check_separable(policy)
@@ -121,17 +121,20 @@ def translate_node(
 
 
 def _parts(policy: Policy, site: frozenset[str], own: Sequence[Step], applied: Set[str]) -> list[Sequence[Step]]:
-    """Return the policy steps of a site, cut before the first one after its last output that waits for a packet."""
+    """Return the policy steps of a site, cut before the first step after its last output that waits for a packet."""
     if not own:
-        raise ProblemError(f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node")
+        raise ProblemError(
+            f"the node {' and '.join(sorted(site))} of the policy {policy.kind} has no policy steps; expected another "
+            "node"
+        )
     leaves = [i for i, step in enumerate(own) if _is_output(step, applied)]
     behind = range(leaves[-1] + 1 if leaves else len(own), len(own))
     waits = [i for i in behind if isinstance(condition_of(own[i]), Received | Acknowledged)]
     cut = waits[0] if waits else len(own)
     if any(isinstance(condition_of(step), Acknowledged) for step in own[:cut]):
         raise ProblemError(
-            f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
-            "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
+            f"the nodes of the policy {policy.kind} cannot be separated: a node needs an acknowledgement before its "
+            "last output; expected each policy step that depends on an acknowledgement after the last Send of its node"
         )
     return [part for part in (own[:cut], own[cut:]) if part]
 
@@ -142,8 +145,8 @@ def _age(policy: Policy, link: str) -> int:
     read = [i for i, step in enumerate(policy.steps) if condition_of(step) == Received(link)]
     if read[0] < sent < read[-1]:
         raise ProblemError(
-            f"the nodes of {policy.kind} cannot be separated: the packet of the {link} link is read "
-            "both before and after it is sent; expected that all steps read it before the send, or all after it"
+            f"the nodes of the policy {policy.kind} cannot be separated: the packet of the {link} link is read both "
+            "before and after it is sent; expected that all steps read it before the send, or all after it"
         )
     return int(read[0] < sent)
 
@@ -220,8 +223,8 @@ def _check_separable(policy: Policy) -> None:
             continue
         if policy.network.receiver(step.link) in policy.site(step.at):
             raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
-                "site; expected different sites at its two ends, or no packets on this link"
+                f"the nodes of the policy {policy.kind} cannot be separated: the {step.link} link begins and ends at "
+                "the same site; expected different sites at its two ends, or no packets on this link"
             )
         places[step.link] = place
     for place, step in enumerate(policy.steps):
@@ -229,15 +232,16 @@ def _check_separable(policy: Policy) -> None:
             continue
         if on.link not in places:
             raise ProblemError(
-                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
+                f"the node {step.at} reads packets of the {on.link} link, on which no policy step sends; expected a "
+                "Send for this link"
             )
         sent, count = places[on.link], len(policy.steps)
         between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
         for name in told_by(policy, on.link):
             if any(name in assigned(policy.steps[i]) for i in between):
                 raise ProblemError(
-                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
-                    f"that computes {step.signal} from the packet; expected the Send after the change"
+                    f"the nodes of the policy {policy.kind} cannot be separated: the signal {name} changes between its "
+                    f"Send and the step that computes {step.signal} from the packet; expected the Send after the change"
                 )
 
 
@@ -256,8 +260,8 @@ def _expect_order(policy: Policy) -> None:
     if left:
         names = " and ".join(sorted("+".join(sorted(place)) for place in left))
         raise ProblemError(
-            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
-            "expected nodes at different places"
+            f"the nodes of the policy {policy.kind} cannot be separated: within a step, {names} wait for packets of "
+            "each other; expected another assignment of the nodes to sites"
         )
 
 
@@ -284,7 +288,7 @@ def _flags(decision: str) -> str:
 
 
 class Arrival(NamedTuple):
-    """Packets (data or acknowledgements) that a node receives on one link, and their positions among its inputs."""
+    """Packets or acknowledgements that a node receives on one link, and where they are among the program's inputs."""
 
     # ``"data"``, ``"acknowledgement"``, or ``"measurement"`` for set-points, of which the last are kept
     kind: Literal["data", "acknowledgement", "measurement"]
@@ -297,7 +301,7 @@ class Arrival(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """Packets that a node sends over one link, and their positions among its outputs."""
+    """Packets that a node sends on one link, and where they are among the program's outputs."""
 
     link: str  # link on which they are sent
     at: int  # position of the flag "sent" among the outputs; the payload is after it
@@ -306,7 +310,9 @@ class Departure(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of measurements, packets, random numbers and inputs of the plant in the time step of a node."""
+    """Where a node's program has its inputs (measurements, packets, random numbers) and outputs (packets, plant
+    input).
+    """
 
     inputs: tuple[Name, ...]  # names of all inputs: measurement, step counters, packets, and random numbers
     measured: int  # number of entries of the measurement; 0 without a sensor
@@ -322,7 +328,7 @@ class Layout:
 
 
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
-    """Return the positions of all inputs and outputs in the time step of a node."""
+    """Compute the positions of all inputs and outputs of a node's program."""
     sizes, arrivals = policy.sizes, list[Arrival]()
     sensed = {signal: node for signal, (node, _) in policy.measured.items() if signal != REFERENCE}
     measured = [signal for signal, node in sensed.items() if node in program.site]
@@ -366,7 +372,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
 
 
 def first_inputs(policy: Policy, layout: Layout) -> list[float]:
-    """Return the inputs of a node before its first step: zeros, and the set-points at the start."""
+    """Return the program inputs of a node before its first step: zeros, and the initial set-points."""
     found = [0.0] * len(layout.inputs)
     for one in layout.arrivals:
         if one.kind == "measurement":
@@ -375,6 +381,6 @@ def first_inputs(policy: Policy, layout: Layout) -> list[float]:
 
 
 def steps_of_a_fault(policy: Policy) -> int:
-    """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
+    """Return the number of steps until the effect of a fault, such as a late packet, is negligible."""
     horizon = None if policy.cost is None else policy.cost.horizon
     return ceil(_FORGOTTEN * policy.theory.recovers) or horizon or _NEVER

@@ -1,4 +1,4 @@
-"""Execution of a program over many paths with NumPy: the reference implementation, also used without llvmlite.
+"""Execution of a program on many simulated paths with NumPy: the reference back end, used if llvmlite is missing.
 
 Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it. The sums of
 ``WINDOW`` steps have the precision of the program, and the sums of windows are added as doubles.
@@ -24,7 +24,7 @@ _GIVEN = ("const", "word", "half", "state", "input")  # operations without a com
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The result of a run."""
+    """Result of a program that has run for some steps: its states, sums and outputs."""
 
     states: Array  # states after the last step, as doubles; words are reinterpreted as doubles, (states, paths)
     sums: Mapping[Name, Array]  # sums over the steps by name, (paths,) each
@@ -33,7 +33,7 @@ class Run:
 
 @np.errstate(all="ignore")  # branches that a selection discards may divide by zero
 def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
-    """Run ``ticks`` steps of a program on every simulated path, with NumPy."""
+    """Run a program for ``ticks`` steps of all simulated paths, with NumPy."""
     assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
     paths = states.shape[1]
     kind = np.dtype(program.precision)
@@ -70,7 +70,7 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
 
 
 def _fixed(program: Program, paths: int) -> list[Value]:
-    """Return the values of all operations, by index: constants, and empty arrays for the others."""
+    """Return the values of all operations, by index: constants, and empty arrays for other operations."""
     fixed: list[Value] = [np.empty(0)] * len(program.ops)
     for index, (name, rest) in enumerate(program.ops):
         if name == "const":

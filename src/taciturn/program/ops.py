@@ -1,4 +1,4 @@
-"""The operations of a program, and the names of the values that go into and come out of it.
+"""Operations of a program, and names of its inputs, states, sums and outputs.
 
 An operation is a name with the indices of earlier operations, or with literals where the table below says so.
 Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits.
@@ -48,20 +48,20 @@ MatrixRows = tuple[tuple[float, ...], ...]
 
 
 class Op(NamedTuple):
-    """One operation."""
+    """One operation of a program: its name, and the indices of its operands."""
 
     name: str  # a name from the table above
     arguments: tuple[int, ...]  # indices of earlier operations, or literals
 
     @property
     def reads(self) -> tuple[int, ...]:
-        """Indices of the operations whose values this operation reads."""
+        """Indices of the operations whose values are operands of this operation."""
         literal = LITERAL.get(self.name)
         return self.arguments if literal is None else self.arguments[:literal] + self.arguments[literal + 1 :]
 
 
 def needed(ops: Sequence[Op], roots: Sequence[int]) -> set[int]:
-    """Return all operations on which the operations ``roots`` depend within one step."""
+    """Find all operations that the operations ``roots`` need within one step."""
     last = max(roots, default=-1)
     marks = bytearray(last + 1)
     for index in roots:
@@ -77,7 +77,7 @@ def needed(ops: Sequence[Op], roots: Sequence[int]) -> set[int]:
 
 @dataclass(frozen=True)
 class State:
-    """State variable of a program: one scalar that keeps its value from step to step."""
+    """A state of a program: a number whose value is kept from one step to the next."""
 
     name: str  # the signal
     index: int  # entry of the signal
@@ -86,7 +86,7 @@ class State:
 
 
 class Tile(NamedTuple):
-    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero."""
+    """Some rows of a matrix, without the columns in which all of these rows are zero."""
 
     # Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
 
@@ -97,7 +97,7 @@ class Tile(NamedTuple):
 
 
 def tiles(matrix: MatrixRows) -> list[Tile]:
-    """Return the tiles (blocks of rows) of a matrix, without blocks of zero rows."""
+    """Split a matrix into tiles, which are blocks of rows, and omit tiles that are zero."""
     found: list[Tile] = []
     for first in range(0, len(matrix), _TILE):
         rows = matrix[first : first + _TILE]
@@ -107,20 +107,20 @@ def tiles(matrix: MatrixRows) -> list[Tile]:
 
 
 class Total(NamedTuple):
-    """A sum over time steps of the form factor·Σ op + offset·steps, for an operation ``op`` of a program."""
+    """The sum factor·Σ op + offset·steps over time steps, where ``op`` is an operation of a program."""
 
     op: int  # index of the operation whose values are added up at each step
     factor: float  # applied once, after the last step
     offset: float  # added for each step, after the last step
 
     def of(self, added: Array, ticks: int) -> Array:
-        """Return the value of this sum, given Σ op and the number of steps."""
+        """Compute this sum from ``added``, which is Σ op, and the number of steps."""
         return self.factor * added + self.offset * ticks
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of a signal."""
+    """Name of an entry of a signal that is an input, state or output of a program."""
 
     signal: str  # the signal, or a kind of random number
     index: int  # number of the entry, from 0
@@ -129,51 +129,69 @@ class Entry:
 
 @dataclass(frozen=True)
 class Sent:
-    """Whether a packet is sent on a link: 1 or 0."""
+    """Name of the flag for a link and a step: 1 if a packet is sent, and 0 otherwise."""
 
     link: str
 
 
 @dataclass(frozen=True)
+class Silence:
+    """Name of the cost that a node adds in a step by not sending on the links on which it decides."""
+
+    links: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Option:
-    """The value of the form of an option in a trigger, by the decision and the label of the option."""
+    """Name of the value of a trigger's option. It consists of the decision and the option's label."""
 
     decision: str
     label: str
 
 
 @dataclass(frozen=True)
+class Scalar:
+    """The value of a scalar signal when a decision reads it."""
+
+    decision: str
+    signal: str
+
+
+@dataclass(frozen=True)
 class StepCounter:
-    """The value of a location that changes at each step without a condition, such as the phase of a schedule."""
+    """Name of a discrete state that changes unconditionally in every step, such as the position in a schedule."""
 
     location: str
 
 
 @dataclass(frozen=True)
 class Control:
-    """A control variate: the product of normal number ``normal`` of a step and a state, or another normal number."""
+    """Name of a control variate: the normal number ``normal`` of a step times a state or another such number.
+
+    The numbers −1 denote the one of ``analyse.every_sample``.
+    """
 
     normal: int
     other: int | Entry
 
 
 # A string names a single number. ``Received`` and ``Acknowledged`` name whether a packet arrived.
-Name: TypeAlias = str | Entry | Sent | Received | Acknowledged | Option | StepCounter | Control
+Name: TypeAlias = str | Entry | Sent | Silence | Received | Acknowledged | Option | Scalar | StepCounter | Control
 Named: TypeAlias = Mapping[Name, int]  # operations by name
 
 
 def named(signal: str, values: Iterable[int], link: str | None = None) -> dict[Name, int]:
-    """Return the operations that compute the entries of a signal, by name."""
+    """Give names to the operations that compute the entries of a signal."""
     return {Entry(signal, i, link): value for i, value in enumerate(values)}
 
 
 def is_entry(name: Name, *signals: str) -> TypeGuard[Entry]:
-    """Return whether a name is that of an entry of one of the given signals."""
+    """Check whether a name is that of an entry of one of the given signals."""
     return isinstance(name, Entry) and name.link is None and name.signal in signals
 
 
 def text_of(name: Name) -> str:
-    """Return a name as text, for the description of a policy's nodes."""
+    """Write a name as text for the description of a policy's nodes."""
     if isinstance(name, Entry):
         return " ".join(filter(None, (name.link, name.signal, str(name.index))))
     if isinstance(name, Sent):
@@ -184,6 +202,8 @@ def text_of(name: Name) -> str:
         return f"acknowledged {name.link}"
     if isinstance(name, Option):
         return f"option {name.decision} {name.label}"
+    if isinstance(name, Scalar):
+        return f"{name.signal} in {name.decision}"
     if isinstance(name, StepCounter):
         return f"at {name.location}"
     return str(name)

@@ -1,4 +1,4 @@
-"""Translation of a program to a Python function for nodes, which computes one step of one path without NumPy.
+"""Translation of a program to a Python function without NumPy, which computes one time step of a node.
 
 Each operation is one assignment ``v7 = v3 * v2``, in the order of the program, and rounds once, since numbers of Python
 are doubles. Where Python raises an exception, for x/0 and √ of a negative number, a function returns what IEEE 754
@@ -52,7 +52,7 @@ _EXPRESSIONS: Mapping[str, str] = {
 
 
 def compile_python(program: Program) -> CompiledStep:
-    """Return a program as a Python function of its states and inputs."""
+    """Compile a program to a Python function of its states and inputs."""
     assert program.precision == "float64", "nodes compute in double precision"
     live = needed(program.ops, [*program.following, *program.outputs.values()])
     lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]

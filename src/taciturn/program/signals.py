@@ -1,4 +1,4 @@
-"""Process noise that is not Gaussian, as operations of a program: Poisson jumps, and set-points that change.
+"""Process noise that is not Gaussian, as operations of a program: Poisson jumps, and changes of set-points.
 
 **Jumps.** Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a jump,
 and ξ has independent entries of mean 0 and variance 1. At the end τ of the step its contribution is
@@ -36,7 +36,7 @@ TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
-    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end."""
+    """Compute Σ_i e^{A(τ−t_i)} G ξ_i, which the jumps ξ_i at times t_i in a step of length τ add to the state."""
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, noise.jumps.spread
     law = noise.jumps.distribution
@@ -96,7 +96,7 @@ def _drawn(noise: JumpNoise) -> int:
 
 
 def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
-    """Return one entry of a jump ξ with mean 0 and variance 1, from a normal or a uniform random number."""
+    """Compute an entry of a jump ξ, with mean 0 and variance 1, from a normal or uniform random number."""
     if distribution == "normal":
         return drawn
     # u − ½ has variance 1/12; its sign is the two-point distribution ±1
@@ -112,13 +112,13 @@ def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
 
 
 def draw_noise(tick: TimeStep, spread: Array) -> Operands:
-    """Return the product of G and new normal draws."""
+    """Multiply the matrix G by a vector of new standard normal numbers."""
     drawn = tick.supplied(NORMAL, spread.shape[1], len(tick.builder.inputs))
     return [tick.builder.value(value) for value in tick.builder.transform(spread.tolist(), drawn)]
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:
-    """Return the process noise: Gaussian noise of most states, and the changes of the last ones, the set-points."""
+    """Draw the process noise: Gaussian noise of the plant, and changes of the set-points, which are the last states."""
     b, others = tick.builder, W[: -changes.size, : -changes.size]
     noise = draw_noise(tick, factor(others)) if others.any() else [b.constant(0.0)] * len(others)
     if isinstance(changes, SampledChanges):

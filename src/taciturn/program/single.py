@@ -1,4 +1,4 @@
-"""Random numbers in single precision, from the same random bits as those in double precision (``draws``).
+"""Random numbers in single precision. They use the same random bits as those in double precision (``draws``).
 
 A word gives the same number in both precisions, to seven digits. Therefore paths of one seed in single and in double
 precision stay close to each other, and a comparison of both shows the effect of rounding directly.
@@ -27,7 +27,7 @@ _HALF = (1 << 32) - 1
 
 
 def uniform(b: Builder, word: int) -> int:
-    """Return a number strictly between 0 and 1, an odd multiple of 2^-24, from the upper 23 bits of a word."""
+    """Compute a uniform random number in (0, 1), an odd multiple of 2^-24, from the upper 23 bits of a word."""
     # the bits k as the mantissa of a float give 1 + k/2^23; minus 1 − 2^-24 this is (k + ½)/2^23, without rounding:
     # the result is the middle of its interval and never 0 or 1
     field = b.emit("shift_right", b.emit("upper", word), 9)
@@ -36,7 +36,7 @@ def uniform(b: Builder, word: int) -> int:
 
 
 def two_normals(b: Builder, word: int) -> tuple[int, int]:
-    """Return two independent standard normal numbers √(−2 log u)·(cos φ, sin φ) by the Box–Muller method."""
+    """Compute two independent standard normal numbers, √(−2 log u)·(cos φ, sin φ), by the Box–Muller method."""
     # upper 32 bits k: the radius, with u = (k + ½)/2^32; u lies in (0, 1], as rounding to a float may give 1
     upper, lower = b.emit("upper", word), b.emit("lower", word)
     u = b.emit("add", b.emit("mul", b.emit("count", upper), b.constant(2.0**-32)), b.constant(2.0**-33))
@@ -55,7 +55,7 @@ def two_normals(b: Builder, word: int) -> tuple[int, int]:
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u for a number u in (0, 1], the squared radius of the Box–Muller method."""
+    """Compute −2 log u for a number u in (0, 1]: the squared radius in the Box–Muller method."""
     # u = 2^e (1 + f) with 1 + f in [√½, √2): adding bits(1) − bits(√½) moves the boundary between exponents from 1
     # down to √½. So e = 0 for u near 1, and f = u − 1 is exact there.
     offset = b.emit("word_add", b.emit("bits", u), b.emit("half", (_EXPONENT_ONE - _ROOT_HALF) & _HALF))

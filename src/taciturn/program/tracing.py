@@ -1,4 +1,4 @@
-"""Tracing of user functions: a NumPy function is called once with symbols, and its operations are recorded.
+"""Tracing of a user's NumPy function: a call with symbols records the operations that the function computes.
 
 An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Three kinds
 of functions are recorded:
@@ -51,7 +51,7 @@ def trace(
     arguments: Mapping[str, Sequence[int]],
     results: Mapping[str, int],
 ) -> dict[str, list[int]]:
-    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results."""
+    """Call a NumPy function once with symbols, and return the operations that compute its results."""
     # The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
     # traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
     # during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
@@ -68,16 +68,18 @@ def trace(
         if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
             raise recorder.lost() from error
         raise ProblemError(
-            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
+            f"the function {name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
             f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
         ) from error
     if returned is None:
-        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
+        raise ProblemError(f"the function {name} returns nothing; expected the vector {', '.join(results)}")
     if len(results) == 1:
         returned = (returned,)
     elif not _is_list(returned) or len(returned) != len(results):
         got = f"{len(returned)} values" if _is_list(returned) else "one vector"
-        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
+        raise ProblemError(
+            f"the function {name} returns {got}; expected a tuple of {len(results)} vectors: {', '.join(results)}"
+        )
     pairs = zip(results.items(), returned, strict=True)
     return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
 
@@ -86,14 +88,15 @@ def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[in
     found = objects(value)
     if found.shape != (size,) and not (size == 1 and found.shape == ()):
         raise ProblemError(
-            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
+            f"the function {recorder.name} returns {name} of shape {found.shape}; expected the shape ({size},), one "
+            "number for each entry"
         )
     entries: list[object] = found.ravel().tolist()
     for place, entry in enumerate(entries):
         if isinstance(entry, float) and not math.isfinite(entry):
             raise ProblemError(
-                f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; "
-                "expected a finite number"
+                f"the function {recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected "
+                "a finite number"
             )
     return [recorder.builder.value(recorder.number(entry)) for entry in entries]
 
@@ -119,7 +122,7 @@ class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     ) -> Any:
         """Record an operator or a NumPy function of single entries."""
         if where is not True or initial is not None or dtype is not None:
-            raise _recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
+            raise _recorder_of(inputs).refused(f"{ufunc.__name__} with one of the arguments where, initial and dtype")
         return compute(ufunc, method, inputs, out, axis, keepdims)
 
     def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
@@ -147,33 +150,33 @@ class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     def __bool__(self) -> bool:
         """Raise an error, since the value is unknown."""
         raise ProblemError(
-            f"{self.recorder.name} needs the truth value of a condition (for if, and, or, max), {_UNKNOWN}; "
-            f"expected np.where, & and |, np.maximum: {_ARRAYS}"
+            f"the function {self.recorder.name} needs the truth value of a condition (for if, and, or, max), "
+            f"{_UNKNOWN}; expected np.where, & and |, np.maximum: {_ARRAYS}"
         )
 
     def __float__(self) -> float:
         """Raise an error, since the value is unknown."""
         raise ProblemError(
-            f"{self.recorder.name} converts a traced number to a float (as math.sin, float() and np.zeros(n)[i] = do), "
-            f"{_UNKNOWN}; expected {_ARRAYS}"
+            f"the function {self.recorder.name} converts a traced number to a float (as math.sin, float() and "
+            f"np.zeros(n)[i] = do), {_UNKNOWN}; expected {_ARRAYS}"
         )
 
     def __int__(self) -> int:
         """Raise an error, since the value is unknown."""
         raise ProblemError(
-            f"{self.recorder.name} converts a traced number to an integer (as int() and round() do), {_UNKNOWN}; "
-            "expected np.floor or np.rint"
+            f"the function {self.recorder.name} converts a traced number to an integer (as int() and round() do), "
+            f"{_UNKNOWN}; expected np.floor or np.rint"
         )
 
     __index__ = __int__
 
 
 class Number(_Symbol):
-    """Placeholder of a number whose value is known only when the program runs."""
+    """Symbol for a number whose value is known only when the program runs."""
 
 
 class SymbolicTruth(_Symbol):
-    """Placeholder of a truth value that is known only when the program runs."""
+    """Symbol for a truth value that is known only when the program runs."""
 
 
 class _SymbolicArray(np.ndarray[Any, Any]):
@@ -191,17 +194,17 @@ class _Recorder:
         self.builder, self.name = builder, name
 
     def symbols(self, values: Sequence[int]) -> _SymbolicArray:
-        """Return a vector of symbols, one for each of the given operations."""
+        """Create a vector with a symbol for each of the given operations."""
         vector = np.empty(len(values), dtype=object)
         vector[:] = [self.symbol(self._known(value)) for value in values]
         return vector.view(_SymbolicArray)
 
     def symbol(self, value: Coefficient) -> float | Number:
-        """Return a constant unchanged, or the symbol that represents an operation."""
+        """Return a symbol for the operation that computes a number. If it is a constant, return it unchanged."""
         return value if isinstance(value, float) else Number(self, value)
 
     def number(self, value: object) -> Coefficient:
-        """Return an array entry as a constant if it is a number, else as the operation that computes it."""
+        """Return the constant, or the operation that computes it, for a number in an array."""
         if isinstance(value, Number):
             return value.index
         if isinstance(value, SymbolicTruth):
@@ -210,14 +213,14 @@ class _Recorder:
             found = float(value)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             raise ProblemError(
-                f"{self.name} computes with {value!r:.60}; expected numbers, or arrays of numbers"
+                f"the function {self.name} computes with {value!r:.60}; expected numbers, or arrays of numbers"
             ) from None
         if math.isnan(found):
-            raise ProblemError(f"{self.name} computes with a constant NaN; expected finite numbers")
+            raise ProblemError(f"the function {self.name} computes with a constant NaN; expected finite numbers")
         return found
 
     def truth(self, value: object) -> int | bool:
-        """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
+        """Return True or False, or the operation that computes it, for a truth value in an array."""
         if isinstance(value, SymbolicTruth):
             return value.index
         if isinstance(value, Number):
@@ -225,7 +228,7 @@ class _Recorder:
         return bool(value)
 
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
-        """Return the result of an element-wise NumPy function for single entries, which can be symbols."""
+        """Apply an element-wise NumPy function to single entries, which may be symbols."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
         if not any(isinstance(value, _Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
@@ -238,11 +241,11 @@ class _Recorder:
         raise self.refused(name)
 
     def condition(self, truth: int | bool) -> bool | SymbolicTruth:
-        """Return a known truth value unchanged, or the symbol that represents an operation."""
+        """Return a symbol for the operation that computes a truth value. If it is known, return it unchanged."""
         return truth if isinstance(truth, bool) else SymbolicTruth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
-        """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
+        """Select ``yes`` if a condition is true, and ``no`` otherwise, like ``np.where``."""
         truth, b = self.truth(condition), self.builder
         if isinstance(truth, bool):
             return yes if truth else no
@@ -252,7 +255,7 @@ class _Recorder:
         return self.symbol(b.choose(truth, b.value(one), b.value(other)))
 
     def product(self, matrix: Objects, column: Objects) -> list[object]:
-        """Return the product of a matrix and a column; a large constant matrix becomes one operation."""
+        """Multiply a matrix by a column vector. The product with a large constant matrix is one operation."""
         b, values = self.builder, [self.number(value) for value in column]
         rows = [[self.number(entry) for entry in row] for row in matrix]
         known = all(isinstance(entry, float) for row in rows for entry in row)
@@ -275,14 +278,14 @@ class _Recorder:
         return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
 
     def lost(self) -> ProblemError:
-        """Return the exception to raise if a traced function computes with plain arrays of objects."""
+        """Create the exception for a traced function that converts symbols to plain arrays of objects."""
         return ProblemError(
             f"{self.name} computes with traced numbers in a plain array of objects, such as np.array and np.asarray "
             f"create in methods of objects; expected {_ARRAYS}"
         )
 
     def refused(self, name: str) -> ProblemError:
-        """Return the exception to raise if a function uses a NumPy function that cannot be traced."""
+        """Create the exception for a traced function that calls a NumPy function which cannot be traced."""
         known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
         return ProblemError(f"{self.name} uses np.{name}, which cannot be traced; expected one of {', '.join(known)}")
 
@@ -293,7 +296,7 @@ class _Recorder:
 
 
 def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
-    """Return the result of an element-wise NumPy function (or its ``reduce``) for arrays that contain symbols."""
+    """Apply an element-wise NumPy function, or its method ``reduce``, to arrays that contain symbols."""
     if not _symbols_in(inputs):
         more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
         result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
@@ -329,19 +332,19 @@ def _matrix_product(A: Objects, B: Objects) -> Any:
 
 
 def objects(value: object) -> Objects:
-    """Return a value as a plain NumPy array of objects."""
+    """Convert a value to a plain NumPy array of objects."""
     return np.asarray(value, dtype=object).view(np.ndarray)
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``_SymbolicArray``, which records operations; return other values unchanged."""
+    """Convert an array of objects to a ``_SymbolicArray``, which records operations. Return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
     return value.view(_SymbolicArray) if _is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
-    """Return an array of floats as an array that can contain symbols; return other values unchanged."""
+    """Convert an array of floats to an array that can contain symbols. Return other values unchanged."""
     return seen(value.astype(object) if _is_array(value) and value.dtype.kind == "f" else value)
 
 
@@ -397,30 +400,30 @@ def _choose_entries(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
-    """Return the result of ``np.clip``, which limits entries to bounds; NumPy has two names for each bound."""
+    """Limit entries to bounds, like ``np.clip``, in which each bound has two names."""
     for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
         a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
     return a
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Return the result of ``np.dot`` for vectors, matrices or scalars."""
+    """Multiply vectors, matrices or scalars, like ``np.dot``."""
     one, other = objects(a), objects(b)
     return seen(_matrix_product(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
-    """Return the result of ``np.inner``: the sums of products over the last axes of two arrays."""
+    """Sum products along the last axes of two arrays, like ``np.inner``."""
     return dot(a, objects(b).T) if objects(b).ndim > 1 else dot(a, b)
 
 
 def vdot(a: Any, b: Any) -> Any:
-    """Return the result of ``np.vdot``: the sum of the products of all entries, added in order."""
+    """Sum the products of all entries of two arrays in order, like ``np.vdot``."""
     return dot(objects(a).ravel(), objects(b).ravel())
 
 
 def solve(a: Any, b: Any) -> Any:
-    """Return the solution a⁻¹b of a linear system by Gaussian elimination with partial pivoting."""
+    """Solve the linear system a·x = b by Gaussian elimination with partial pivoting."""
     A, B = objects(a), objects(b)
     size = len(A)
     if A.shape != (size, size) or B.ndim not in (1, 2) or len(B) != size:
@@ -444,12 +447,12 @@ def solve(a: Any, b: Any) -> Any:
 
 
 def invert(a: Any) -> Any:
-    """Return the inverse of a matrix, by Gaussian elimination."""
+    """Compute the inverse of a matrix by Gaussian elimination."""
     return solve(a, np.eye(len(objects(a))))
 
 
 def norm(x: Any, ord: None = None, axis: Any = None, keepdims: bool = False) -> Any:
-    """Return the Euclidean norm of an array, over all entries or along an axis."""
+    """Compute the Euclidean norm of an array, over all entries or along an axis."""
     if ord is not None:
         raise ProblemError(f"np.linalg.norm of order {ord!r} cannot be traced; expected the Euclidean norm (no order)")
     return np.sqrt(compute(np.add, "reduce", (np.square(seen(objects(x))),), None, axis, keepdims))
@@ -571,7 +574,9 @@ class _Copies:
         self.numpy, self.copies = _Numpy(), dict[int, FunctionType]()
 
     def of(self, value: Any) -> Any:
-        """Return the value to use in copied functions instead of a given one; most values are unchanged."""
+        """Return the substitute for a value that a traced function uses, such as ``np``. Most values are their own
+        substitute.
+        """
         if value is np:
             return self.numpy
         if isinstance(value, FunctionType):

@@ -47,7 +47,7 @@ from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
-from taciturn.program.ops import Entry, Name, Named, Option, Sent, State
+from taciturn.program.ops import Entry, Name, Named, Option, Scalar, Sent, State
 from taciturn.program.tracing import trace
 
 Operands = list[int]
@@ -57,7 +57,7 @@ TRANSLATED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not 
 
 
 def first_input(policy: Policy, plant: Plant) -> Array:
-    """Return the input of a plant before the first step: that of the policy, or 0, within the limits."""
+    """Return the plant input before the first step: the policy's initial input, or 0, within the actuators' limits."""
     found = np.zeros(plant.inputs)
     for signal, (_, inputs) in policy.applied.items():
         found[[*inputs]] = policy.initial.get(signal, 0.0)
@@ -65,7 +65,7 @@ def first_input(policy: Policy, plant: Plant) -> Array:
 
 
 class TimeStep:
-    """Translation of one time step: the operations that give the value of each signal after each policy step."""
+    """Translates the policy steps of a time step in order, and stores which operations compute each signal."""
 
     def __init__(
         self,
@@ -84,21 +84,24 @@ class TimeStep:
         self.arrived: dict[str, Truth] = {}
         self.sent: dict[str, Truth] = {}
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
+        self.scalars: dict[Scalar, int] = {}  # scalar signals that a decision reads
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
         self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
         self.locations = {location.name: location for location in locations}
         self.drawn = 0  # number of uniform numbers drawn so far
 
     def read(self, name: str) -> Operands:
-        """Return the value of a signal: from the packet that the current policy step reads, or else from ``recall``."""
+        """Return the value of a signal that a policy step reads: from the packet that has arrived, or the
+        stored value.
+        """
         return self.hear(name) if name in self.listening else self.recall(name)
 
     def hear(self, name: str) -> Operands:
-        """Return the value of a signal in a received packet, as rounded by the packet's encoding."""
+        """Return the value of a signal in a packet that has arrived, rounded as the packet encodes it."""
         return self.rounded(self.recall(name), self.listening[name])
 
     def rounded(self, values: Operands, encoding: Encoding) -> Operands:
-        """Return the values of a signal rounded by the encoding of a packet."""
+        """Round the values of a signal as the encoding of a packet does."""
         if encoding.name == "float64":
             return values
         if encoding.name == "float32":
@@ -116,7 +119,7 @@ class TimeStep:
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
     def limited(self, values: Operands, limits: Saturation | None, memory: str) -> Operands:
-        """Set the signal ``memory`` to the inputs that actuators with limits apply, and return it; they remember it."""
+        """Limit the commanded inputs as actuators do. Store the applied inputs in ``memory``, and return them."""
         if limits is not None:
             given = {"command": values, **({memory: self.recall(memory)} if limits.moves else {})}
             values = trace(self.builder, limits, given, {memory: len(values)})[memory]
@@ -124,13 +127,13 @@ class TimeStep:
         return values
 
     def recall(self, name: str) -> Operands:
-        """Return the current value of a signal, or the value from the previous time step if it is not assigned yet."""
+        """Return the value of a signal: that of this step or, if not yet assigned, that of the previous step."""
         if name not in self.signals:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
         return self.signals[name]
 
     def draw_losses(self, policy: Policy, network: Network) -> None:
-        """Set the loss probability of each link: a constant, or a value that depends on the state of a bursty link."""
+        """Set the loss probability of each link. On a link with bursty losses, it depends on the channel state."""
         for link in network.links:
             burst, b = network.burst(link), self.builder
             self.losses[link] = network.loss(link)
@@ -145,7 +148,7 @@ class TimeStep:
                 self.signals[link_state(link)] = [after]
 
     def take(self, step: Step) -> None:
-        """Translate one policy step to operations."""
+        """Translate one policy step to operations of the program."""
         on = condition_of(step)
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
@@ -167,14 +170,14 @@ class TimeStep:
         self.listening = {}
 
     def combine(self, terms: Terms, rows: int) -> Operands:
-        """Return the sum Σ matrix·signal, computed as one matrix [M_1 M_2 …] times one vector."""
+        """Compute Σ matrix·signal as the product of one matrix [M_1 M_2 …] and one vector."""
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
         joined = [[c for block in blocks for c in block[i]] for i in range(rows)]
         return [self.builder.value(index) for index in self.builder.transform(joined, values)]
 
     def form(self, form: Form) -> int:
-        """Return the value of a trigger's form: v'Ψv, a Gaussian term, weighted scalars and a constant."""
+        """Compute the value of a trigger's form: v'Ψv, a Gaussian term, weighted scalars and a constant."""
         b = self.builder
         values = [value for name in form.signals for value in self.read(name)]
         square, bell = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values), None
@@ -187,7 +190,7 @@ class TimeStep:
         return b.value(b.add(square, bell, added, fixed))
 
     def pick(self, condition: Condition | None, options: Sequence[int]) -> int:
-        """Return the option that belongs to the outcome of a condition in this time step."""
+        """Select one of several values by the outcome that a condition has in this time step."""
         # t_1 ? o_1 : (t_2 ? o_2 : … o_last): at most one truth value is true; if all are false, the outcome is the last
         chosen = options[-1]
         if condition is not None:
@@ -196,7 +199,7 @@ class TimeStep:
         return chosen
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return truth values for all outcomes of a condition but the last; for a packet, whether it did not arrive."""
+        """Return a truth value for each outcome of a condition except the last; for a packet: "it did not arrive"."""
         if isinstance(condition, str):
             return self.outcomes[condition]
         link = condition.link
@@ -207,7 +210,7 @@ class TimeStep:
         return [self.builder.negated(self.arrived[link])]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
-        """Return the entries of a matrix; a scheduled matrix depends on a location (a finite-state variable)."""
+        """Return the entries of a matrix. For a table of matrices, a discrete state selects the matrix."""
         if isinstance(matrix, Scheduled):
             at = self.place(matrix.by)
             entries = np.moveaxis(matrix.values, 0, -1)
@@ -215,31 +218,33 @@ class TimeStep:
         return [[float(value) for value in row] for row in matrix]
 
     def number(self, value: float | Scheduled) -> Coefficient:
-        """Return a number; a scheduled number depends on the value of a location (a finite-state variable)."""
+        """Return a number. For a table of numbers, a discrete state selects the number."""
         if isinstance(value, Scheduled):
             return self.builder.lookup(list(value.values), self.place(value.by))
         return value
 
     def uniform(self) -> int:
-        """Return a new random number, uniform in (0, 1)."""
+        """Draw a new random number, uniform in (0, 1)."""
         self.drawn += 1
         return self.builder.input(Entry(UNIFORM, self.drawn - 1))
 
     def supplied(self, signal: str, size: int, first: int = 0, link: str | None = None) -> Operands:
-        """Return the entries of a signal that is an input of the program, numbered from ``first``."""
+        """Return the entries of a signal that is an input of the program. Their numbers begin with ``first``."""
         return [self.builder.input(Entry(signal, first + i, link)) for i in range(size)]
 
     def as_number(self, truth: Truth) -> int:
-        """Return a truth value as a number: 1 for true and 0 for false."""
+        """Convert a truth value to the number 1 if it is true, and 0 if it is false."""
         return self.builder.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def packets(self) -> dict[Name, int]:
-        """Return, by name, whether a packet is sent and whether it arrives on each link."""
+        """Return, for each link, two numbers of the program, 1 or 0: whether its packet is sent, and whether it
+        arrives.
+        """
         sent: dict[Name, int] = {Sent(link): self.as_number(truth) for link, truth in self.sent.items()}
         return sent | {Received(link): self.as_number(truth) for link, truth in self.arrived.items()}
 
     def option_values(self) -> dict[Name, int]:
-        """Return, by name, the value of each option of each trigger."""
+        """Return the values of all options of each trigger, by the option's name."""
         return {
             Option(decision, label): value
             for decision, options in self.options.items()
@@ -247,7 +252,7 @@ class TimeStep:
         }
 
     def finish(self, sums: Named, outputs: Named | None = None) -> Program:
-        """Return the program of this time step, at whose end all memories and locations get their next values."""
+        """Build the program of this time step. All memories and discrete states receive their next values."""
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
@@ -265,7 +270,7 @@ class TimeStep:
         return [self.builder.state(State(name, i, key)) for i, key in enumerate(keys)]
 
     def place(self, name: str) -> int:
-        """Return the current value of a location (a finite-state variable of the policy)."""
+        """Return the present value of a discrete state of the policy."""
         if name not in self.memories:
             location = self.locations[name]
             start = State(name, 0, float(location.initial))
@@ -273,7 +278,7 @@ class TimeStep:
         return self.memories[name][0]
 
     def move(self, location: Location) -> int:
-        """Return the next value of a location, from a table indexed by its current value and an outcome."""
+        """Look up the next value of a discrete state, given its present value and the outcome of a condition."""
         columns = location.table[:, None] if location.on is None else location.table
         here = self.place(location.name)
         options = [self.builder.value(self.builder.lookup([float(v) for v in column], here)) for column in columns.T]
@@ -284,10 +289,12 @@ class TimeStep:
         trigger = step.trigger
         values = [self.form(form) for form in trigger.options.values()]
         self.options[step.decision] = dict(zip(trigger.labels, values, strict=True))
+        plus = {name for form in trigger.options.values() for name in form.plus}
+        self.scalars |= {Scalar(step.decision, name): self.read(name)[0] for name in sorted(plus)}
         self.outcomes[step.decision] = self.chosen(trigger, values)
 
     def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
-        """Return for each label but the last whether the trigger selects it, given the values of the forms."""
+        """Return, for each label except the last, whether the trigger selects it, given the values of its forms."""
         b, limit, found = self.builder, trigger.limit, list[Truth]()
         allowed = [self._none_positive(trigger.excluded.get(label, ())) for label in trigger.labels]
         within = [] if limit is None else [b.less_equal(value, limit) for value in values[:-1]]
@@ -331,7 +338,7 @@ class TimeStep:
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
-        """Return whether a packet arrives: it is sent, and a uniform random number is above the loss probability."""
+        """Return whether a packet arrives: it is sent, and a uniform random number exceeds the loss probability."""
         loss = self.losses[link]
         if isinstance(loss, float) and loss == 0.0:
             return sent
@@ -339,7 +346,7 @@ class TimeStep:
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
-    """Return how each signal is encoded in the packets of a policy, by link and signal."""
+    """Find how packets of a policy encode each signal, by link and signal."""
     TRANSLATED.check(policy.parts, network)
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:
@@ -351,7 +358,7 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
 
 
 def link_state(link: str) -> str:
-    """Return the name of the memory that holds the number of the state of a link with bursty losses."""
+    """Return the name of the memory for the channel state of a link with bursty losses."""
     return f"state of the {link} link"
 
 

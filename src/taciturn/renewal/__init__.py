@@ -1,4 +1,4 @@
-"""Rates and costs of estimation errors that each send resets to zero, without simulation.
+"""Send rates and costs of estimation errors that each send resets to zero, computed without simulation.
 
 In many policies a single error decides whether to send, and a send replaces this error by fresh noise:
 

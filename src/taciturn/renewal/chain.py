@@ -19,28 +19,36 @@ are Gaussian at any number of checks since the last send, so that covariances an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, count, number, symmetrised
 from taciturn._display import Displayed
+from taciturn._figure import HEIGHT, Panel, Series, Size, draw
 from taciturn._modes import radius, root
+from taciturn._style import StyleName
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpNoise
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = 0.999  # probability of the intervals that a figure shows
+
 
 class NoQuadratureError(ProblemError):
-    """Raised for an error process (chain) that the quadratures do not support; the message gives reason and remedy."""
+    """Raised for an error process that the quadratures do not support. The message states the reason and a remedy."""
 
     @property
     def reason(self) -> str:
-        """First part of the error message, which contains the reason but neither expected value nor remedy."""
+        """The reason, which is the first part of the error message, before expected value and remedy."""
         return str(self).split("; ", 1)[0]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Chain(Displayed):
-    """An estimation error in discrete time that is compared with a threshold at each check, and reset to 0 by a send.
+    """A discrete-time estimation error. Each check compares it with a threshold, and a send resets it to 0.
 
     Before a check the error is e⁺ = F e + w. If e⁺'Ψe⁺ > δ, it is sent, and the error is 0 after the check. Otherwise
     it is not sent, and costs e⁺'Γe⁺. The first check is one step after an error of 0.
@@ -62,7 +70,7 @@ class Chain(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Intervals(Displayed):
-    """The distribution of the number of checks from one send to the next.
+    """Distribution of the number of checks from one send to the next.
 
     Args:
         survival: P(interval > k) for k = 0, 1, …, which begins with 1, (checks,).
@@ -72,13 +80,50 @@ class Intervals(Displayed):
     survival: Array
     decay: float
 
+    def plot(
+        self,
+        ax: Any = None,
+        figsize: Size | None = None,
+        style: StyleName = "light",
+        *,
+        measured: ArrayLike | None = None,
+    ) -> Figure:
+        """Draw the probability of each interval. If measured intervals are given, draw their histogram too.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+            measured: numbers of checks between two sends, such as differences of the steps with a packet.
+        """
+        seen = np.zeros(0) if measured is None else np.asarray(measured, dtype=np.float64).ravel()
+        if not (np.isfinite(seen) & (seen >= 1) & (seen == np.floor(seen))).all():
+            raise ProblemError(
+                "'measured' has an entry that is not a positive integer; expected positive integers, the numbers of "
+                "checks"
+            )
+        most = int(max(self.quantile(SHOWN), 1, *seen.tolist()))
+        checks, series = [float(k) for k in range(1, most + 1)], list[Series]()
+        if seen.size:
+            counts = np.bincount(seen.astype(np.int64), minlength=most + 1)[1:]
+            shares, edges = (counts / seen.size).tolist(), [k - 0.5 for k in (*checks, most + 1.0)]
+            series.append(Series(edges, shares, f"measured: {seen.size} intervals", "histogram", thing="trigger"))
+        law = self.probability(most).tolist()
+        series.append(Series(checks, law, "law", "points", thing="policy"))
+        title = f"mean {self.mean:.4g} checks"
+        panel = Panel(
+            series, "checks from one send to the next", "probability", title, xlim=(0.4, most + 0.6), ylim=(0.0, None),
+            height=0.7 * HEIGHT,
+        )  # fmt: skip
+        return draw([panel], ax, figsize, style)
+
     @property
     def mean(self) -> float:
-        """Mean number of checks between sends: the sum over k of P(interval > k)."""
+        """Mean number of checks from one send to the next: Σ_k P(interval > k)."""
         return float(self.survival.sum() + self.survival[-1] * self.decay / (1 - self.decay))
 
     def probability(self, checks: int) -> Array:
-        """Return the probabilities P(interval = k) that two sends are k checks apart, for k = 1, …, checks.
+        """Compute P(interval = k), the probability of k checks from one send to the next, for k = 1, …, checks.
 
         Raises:
             ProblemError: checks is not an integer of at least 1.
@@ -88,7 +133,7 @@ class Intervals(Displayed):
         return -np.diff(self.beyond(ticks.astype(np.float64)))
 
     def beyond(self, checks: ArrayLike) -> Array:
-        """Return P(interval > k), the probability of more than k checks between sends, for an array of integers k ≥ 0.
+        """Compute P(interval > k), the probability of more than k checks between sends, for integers k ≥ 0.
 
         Raises:
             ProblemError: an entry is not an integer of at least 0.
@@ -96,13 +141,16 @@ class Intervals(Displayed):
         given = np.asarray(checks)
         checks = np.asarray(given, dtype=np.float64) if given.dtype.kind in "iuf" else np.array(np.nan)
         if not (np.isfinite(checks) & (checks >= 0) & (checks == np.floor(checks))).all():
-            raise ProblemError("checks has an entry that is not a non-negative integer; expected numbers of checks")
+            raise ProblemError(
+                "'checks' has an entry that is not a non-negative integer; expected non-negative integers, the "
+                "numbers of checks"
+            )
         last = len(self.survival) - 1
         inside = np.minimum(checks, last).astype(int)
         return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))
 
     def quantile(self, share: float) -> int:
-        """Return a quantile of the number of checks between sends: the least k with P(interval ≤ k) ≥ share.
+        """Compute a quantile of the number of checks between sends: the least k with P(interval ≤ k) ≥ share.
 
         Raises:
             ProblemError: share is outside (0, 1).
@@ -119,13 +167,13 @@ class Intervals(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Renewal(Displayed):
-    """Send rate and excess cost of an error process (chain), with the error estimates of the quadrature.
+    """Send rate and excess cost of an error process, with the error estimates of the quadrature.
 
     Args:
         rate: sends per check.
         excess: mean cost per check, E[(1−σ) e'Γe].
-        rate_error: claimed absolute error of the rate.
-        excess_error: claimed absolute error of the excess.
+        rate_error: estimated absolute error of the rate.
+        excess_error: estimated absolute error of the excess.
         intervals: distribution of the intervals between sends.
         nodes: number of nodes of the quadrature.
     """
@@ -136,6 +184,10 @@ class Renewal(Displayed):
     excess_error: float
     intervals: Intervals
     nodes: int
+
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Draw the distribution of the intervals from one send to the next."""
+        return self.intervals.plot(ax, figsize, style)
 
 
 CRUMB = 1e-13  # weight relative to the largest, below which it counts as rounding
@@ -149,7 +201,9 @@ AGES = 20_000  # most checks without a send
 
 @dataclass(frozen=True, eq=False, repr=False)
 class White(Displayed):
-    """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx."""
+    """Error process x⁺ = F x + w with w ~ N(0, I). While Σ_i m_i x_i² ≤ 1, nothing is sent, and the error costs
+    x'Γx.
+    """
 
     F: Array  # map of the error from one check to the next, (n, n)
     m: Array  # weights of the trigger, ascending, so that the least bounded axes come first, (n,)
@@ -159,7 +213,7 @@ class White(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Data(Displayed):
-    """Error process that a send resets, with its trigger scaled to the threshold 1."""
+    """An error process that each send resets to 0, scaled such that the trigger's threshold is 1."""
 
     F: Array  # map of the error from one check to the next, (n, n)
     noise: Array  # covariance of the noise, (n, n)
@@ -168,7 +222,7 @@ class Data(Displayed):
     rows: Array  # map from the coordinates of the original chain to these, (n, states)
 
     def seen_in(self, rows: Array, columns: Array) -> Data:
-        """Return the same error process in other coordinates z = rows·e, where e = columns·z."""
+        """Express the error process in other coordinates z, with z = rows·e and e = columns·z."""
         return Data(
             rows @ self.F @ columns,
             symmetrised(rows @ self.noise @ rows.T),
@@ -179,25 +233,26 @@ class Data(Displayed):
 
 
 def reduced(chain: Chain) -> Data:
-    """Return an error process without directions that noise never reaches, or that trigger and cost do not see."""
+    """Remove the directions in which noise never moves the error, or which affect neither trigger nor cost."""
     if isinstance(chain.noise, JumpNoise):
         raise NoQuadratureError("the noise consists of jumps; expected Gaussian noise; use solve_jumps instead")
     data = _seen(_reached(Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma, np.eye(len(chain.F)))))
     if not data.Psi.any():
         raise NoQuadratureError(
-            "nothing would ever be sent: the noise reaches no direction of the error that Ψ weighs; expected at least "
-            "one such direction; give the plant noise, or weigh the states that the noise reaches"
+            "the policy would never send: the noise affects no direction of the error to which Ψ gives weight; "
+            "expected at least one such direction: add process noise to the plant, or give weight to the states that "
+            "the noise affects"
         )
     return data
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return an error process in as few coordinates as possible, with white noise and a diagonal trigger weight Ψ."""
+    """Transform an error process to as few coordinates as possible, with white noise and a diagonal trigger."""
     data = reduced(chain)
     n = len(data.F)
     if n > MOST_STATES:
         raise NoQuadratureError(
-            f"{n} directions of the error are reached by noise and affect trigger or cost, but the quadrature supports "
+            f"noise affects {n} directions of the error that influence trigger or cost, but the quadrature supports "
             f"at most {MOST_STATES}; {otherwise}"
         )
     half = root(data.noise)
@@ -213,7 +268,7 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
 
 
 def unsent_covariance(white: White) -> Array:
-    """Return the approximate covariance of unsent errors, computed as if the trigger were random."""
+    """Approximate the covariance of the errors at which nothing is sent, as if a random trigger decided."""
     unit = np.eye(len(white.m))
     before, last, share = unit, np.zeros_like(unit), 1.0
     total, shares = np.zeros_like(unit), 0.0
@@ -233,8 +288,8 @@ def unsent_covariance(white: White) -> Array:
         else:
             return total / shares
     raise NoQuadratureError(
-        "without sends, the error grows without bound in a direction that Ψ does not weigh; expected a Ψ that weighs "
-        "every growing direction of the error; simulate instead"
+        "without sends, the error grows without bound in a direction to which Ψ gives no weight; expected a Ψ that "
+        "gives weight to every growing direction of the error; simulate instead"
     )
 
 
@@ -251,7 +306,7 @@ def _reached(data: Data) -> Data:
 
 
 def _accumulated(F: Array, start: Array) -> Array:
-    """Return a matrix whose columns span what powers of F make of some columns."""
+    """Return a matrix whose columns span the images of some columns under all powers of F."""
     # If the first n powers do not span the whole space, the sum of 2^DOUBLINGS powers decides: with short periods, slow
     # modes differ only after many steps.
     size = float(np.linalg.norm(F, 2)) if F.any() else 1.0

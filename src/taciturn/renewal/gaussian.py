@@ -71,7 +71,7 @@ LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations for the easiest chains, by dimens
 
 
 def intervals(start: Array, check: CheckMatrix | GridCheck, checks: Array, mean: float) -> Intervals:
-    """Return the distribution of the number of checks between two sends."""
+    """Compute the distribution of the number of checks from one send to the next."""
     survival, error, done = _one_by_one(start, check)
     if not done and isinstance(check, CheckMatrix) and len(start) <= MOST_NODES:
         more, error = _many_at_once(error, check.entries)
@@ -121,7 +121,7 @@ def _same(before: Array, after: Array) -> bool:
 
 
 def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-    """Return send rate and excess cost of an error with Gaussian noise, by quadrature of its renewal equations.
+    """Compute send rate and excess cost of an error with Gaussian noise, by quadrature of its renewal equations.
 
     Let k be the density of the next error and E = {e: e'Ψe ≤ δ}. The expected checks T and the expected cost C until
     the next send satisfy T = 1 + ∫_E k T and C = e'Γe + ∫_E k C. The rate is 1/T₀ and the excess is C₀/T₀, both from an
@@ -129,11 +129,11 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
     In the coordinates of the quadrature the noise is white and Ψ is diagonal. Nodes lie on nested chords of E, within a
     window of the errors that occur. Resolution and window increase together until rate and excess no longer change. The
-    claimed error is twice the last change, which is the error of the coarser answer.
+    estimated error is twice the last change, which is the error of the coarser answer.
 
     Args:
         chain: chain with Gaussian noise.
-        accuracy: relative accuracy of rate and excess; if it is not reached, the claimed errors are larger. Omitted:
+        accuracy: relative accuracy of rate and excess; if it is not reached, the estimated errors are larger; default:
             1e-8, or 1e-6 in three dimensions.
         progress: called with the fraction done.
 
@@ -141,8 +141,8 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
         Rate, excess, their errors and the distribution of the intervals.
 
     Raises:
-        NoQuadratureError: more than three directions of the error matter, a direction gets no noise in a check, nothing
-            is ever sent, or too many nodes are needed.
+        NoQuadratureError: more than three directions of the error matter, noise does not reach a direction within one
+            check, nothing is ever sent, or too many nodes are needed.
 
     Source: khashooei2017
 
@@ -157,7 +157,7 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
 
 class Quadrature:
-    """Solver for the renewal equations of an error with Gaussian noise, which can first predict the computation."""
+    """Solves the renewal equations of an error with Gaussian noise by quadrature, and predicts its computing effort."""
 
     def __init__(self, chain: Chain) -> None:
         """Find coordinates, and the approximate covariance of unsent errors."""
@@ -166,26 +166,26 @@ class Quadrature:
 
     @property
     def dimensions(self) -> int:
-        """Number of directions of the error that noise reaches and that affect trigger or cost."""
+        """Number of directions in which noise moves the error, and which affect the trigger or the cost."""
         return len(self.white.m)
 
     @property
     def usual(self) -> float:
-        """The default relative accuracy."""
+        """Default relative accuracy of the computed send rate and excess cost."""
         return usual_accuracy(self.white)
 
     @property
     def least(self) -> float:
-        """Least number of arithmetic operations that a solution of the renewal equations needs."""
+        """Least number of arithmetic operations with which the renewal equations can be solved."""
         return LEAST[self.dimensions]
 
     @property
     def rough_excess(self) -> float:
-        """Rough estimate of the excess cost, usually too large, from the approximate covariance of unsent errors."""
+        """Rough estimate of the excess cost, usually too large, from the covariance of the errors that are not sent."""
         return float(np.sum(self.white.Gamma * self.covariance))
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-        """Return send rate and excess cost, as :func:`solve_gaussian` does."""
+        """Solve the renewal equations for send rate and excess cost, like the function :func:`solve_gaussian`."""
         white, region = self.white, self.region
         accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
@@ -204,7 +204,7 @@ class Quadrature:
         )
 
     def predict(self, accuracy: float) -> float:
-        """Return approximately how many operations a relative accuracy requires; infinite if too many nodes."""
+        """Predict how many operations a relative accuracy needs; infinite if it needs too many quadrature nodes."""
         n, looked = self.dimensions, min(accuracy, LOOSEST)
         window = ErrorRegion(self.covariance, np.full(n, NORMAL_WINDOW * np.sqrt(-2 * np.log(BEYOND * looked))))
         try:

@@ -56,7 +56,7 @@ LOST = 1e-30  # survival probability at which a cost that has not converged neve
 
 
 class Walk:
-    """Sampler of the next error of many paths, conditioned on the event that the error is not sent."""
+    """Draws the next error of many paths, conditioned on the event that the error is not sent."""
 
     def __init__(self, data: Data) -> None:
         """Rotate the noise so that G'ΨG is diagonal."""
@@ -73,7 +73,9 @@ class Walk:
         self.draws = len(self.pulls)
 
     def step(self, errors: Array, uniform: Array) -> tuple[Array, Array, Array]:
-        """Return the next unsent error of each path, the probability that it is unsent, and its expected cost."""
+        """Draw the next error of each path, on which nothing is sent. Also return how probable this is, and the mean
+        cost.
+        """
         moved = errors @ self.F.T
         rest = moved @ self.seen.T
         # ``room`` is what the coordinates so far leave of the threshold: 1 − |r|² − Σ m_i (z_i − c_i)²
@@ -116,7 +118,7 @@ def _certain_root(weight: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledInterval(Displayed):
-    """Estimated distribution and cost of the interval between two sends, from one randomisation."""
+    """Distribution and cost of the interval from one send to the next, estimated from one set of random paths."""
 
     survival: Array  # P(no send at the checks 1 … k) for k = 0, 1, …, (checks + 1,)
     cost: Array  # E[e'Γe, no send so far] at each of these checks
@@ -127,12 +129,12 @@ class SampledInterval(Displayed):
 
     @property
     def sums(self) -> tuple[float, float]:
-        """Mean number of checks and mean cost of an interval between sends."""
+        """Mean number of checks in the interval from one send to the next, and mean cost of the interval."""
         return float(self.survival.sum()) + self.checks_later[0], float(self.cost.sum()) + self.cost_later[0]
 
 
 def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> SampledInterval:
-    """Simulate many paths, conditioned on no send, and return the estimates from one randomisation."""
+    """Simulate many paths on which nothing is sent. From them, estimate distribution and cost of the interval."""
     known = DIMENSIONS // walk.draws
     points = _scipy.sobol(known * walk.draws, paths, draws) if known else np.empty((paths, 0))
     errors, weights = np.zeros((paths, len(walk.F))), np.ones(paths)
@@ -155,8 +157,8 @@ def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float
             return SampledInterval(np.array(survival), np.array(cost), _later(survival), _later(cost), work)
         if mean < LOST or not np.isfinite(cost[-1]):
             raise NoQuadratureError(
-                "without sends, the cost of the error grows without bound in a direction that Γ weighs and Ψ does "
-                "not; expected a Ψ that weighs every growing direction of the error; simulate instead"
+                "without sends, the cost of the error grows without bound in a direction to which Γ gives weight and "
+                "Ψ does not; expected a Ψ that gives weight to every growing direction of the error; simulate instead"
             )
         if mean**2 * count < DEGENERATE * float(weights @ weights):
             heirs = _heirs(weights, _left(paths, count, mean), float(draws.random()))
@@ -240,7 +242,7 @@ LOOKED = 16  # checks from which the mean interval is estimated roughly
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathAnswer(Displayed):
-    """Estimates of send rate, excess cost and intervals of an error, from conditional sampling."""
+    """Send rate, excess cost and intervals of an error, estimated by conditional sampling."""
 
     rate: Estimate  # sends per check
     excess: Estimate  # mean cost per check, E[(1−σ) e'Γe]
@@ -261,7 +263,7 @@ def solve_paths(
     steps: int = USUAL,
     progress: Progress | None = None,
 ) -> PathAnswer:
-    """Return send rate and excess cost of an error of any dimension with Gaussian noise, by conditional sampling."""
+    """Estimate send rate and excess cost of an error with Gaussian noise, in any dimension, by conditional sampling."""
     number("standard_error", standard_error, 0.0, 1.0)
     count("seed", seed, 0)
     count("steps", steps)
@@ -306,7 +308,9 @@ def _off(*found: Estimate) -> float:
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return about how many operations ``solve_paths`` needs, given a less accurate solution; 0 if it suffices."""
+    """Predict how many operations ``solve_paths`` needs, from a less accurate solution; 0 if that is accurate
+    enough.
+    """
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
     if off <= standard_error:
         return 0.0
@@ -315,12 +319,12 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
 
 
 def predict_fewest(chain: Chain) -> float:
-    """Return approximately how many operations ``solve_paths`` needs for its smallest number of paths."""
+    """Predict how many operations ``solve_paths`` needs with its smallest number of paths."""
     return fewest_operations(chain, least_interval(chain, LOOKED))
 
 
 def fewest_operations(chain: Chain, interval: float = 1.0) -> float:
-    """Return about how many operations ``solve_paths`` needs for its fewest paths; at least for one check per send."""
+    """Return how many operations ``solve_paths`` needs with its smallest number of paths, for a mean interval."""
     return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST_PATHS * LASTING * interval
 
 

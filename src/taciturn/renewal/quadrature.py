@@ -1,4 +1,4 @@
-"""Renewal equations of an error that sends reset, on quadrature nodes: nodes, map of a check, solution, error.
+"""Solution of the renewal equations of an error on quadrature nodes, and estimates of its error.
 
 In white coordinates the error is x⁺ = F x + w with w ~ N(0, I), and is unsent in a symmetric region E. A function X of
 the error, summed until the next send, satisfies
@@ -46,10 +46,14 @@ FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: a constant, and pe
 
 
 class Region(Protocol):
-    """Set of the errors that are not sent, symmetric about 0, with one chord on an axis at each place of outer axes."""
+    """Set of the errors that are not sent. It is symmetric about 0, and a line parallel to an axis meets it in one
+    segment.
+    """
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the region's chord on the next axis, for given coordinates on the outer axes."""
+        """Return both ends of the line segment in the region along the next axis, for coordinates on the
+        earlier axes.
+        """
         ...
 
 
@@ -60,7 +64,7 @@ class Ellipsoid(Displayed):
     m: Array  # weights, (n,)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the exact ends of the ellipsoid's chord on the next axis; they are infinite if m is 0 on this axis."""
+        """Compute both ends of the ellipsoid's line segment along the next axis; infinite if m is 0 on this axis."""
         axis, left = outer.shape[1], np.ones(len(outer))
         for m, x in zip(self.m, outer.T, strict=False):
             left = np.maximum(left - m * x * x, 0.0)
@@ -70,17 +74,19 @@ class Ellipsoid(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorRegion(Displayed):
-    """Bounded region of nearly all unsent errors: on each axis, an interval that depends on the outer axes."""
+    """Bounded region with nearly all errors that are not sent: on each axis, an interval that depends on
+    earlier axes.
+    """
 
     covariance: Array  # approximate covariance of unsent errors, (n, n)
     reach: Array  # half-width of the window on each axis, in conditional standard deviations, (n,)
 
     def scaled(self, factor: float) -> ErrorRegion:
-        """Return this window with its half-widths multiplied by a factor."""
+        """Return this region with half-widths that are multiplied by ``factor``."""
         return ErrorRegion(self.covariance, self.reach * factor)
 
     def given_outer(self, outer: Array) -> tuple[Array, float]:
-        """Return the conditional mean and standard deviation of the next coordinate for each row of the outer ones."""
+        """Compute mean and standard deviation of the next coordinate, conditioned on the coordinates before it."""
         d, covariance = outer.shape[1], self.covariance
         slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
         return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
@@ -88,21 +94,21 @@ class ErrorRegion(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AxisNodes(Displayed):
-    """Coordinates of nested quadrature nodes on one axis."""
+    """Coordinates of quadrature nodes on one axis, in groups that belong to a node on the earlier axes."""
 
     x: Array  # coordinates, (places,)
     # for each point of the outer axes, the index of its first coordinate on this axis, ascending, (outer places,)
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
-        """Return, for each point on the outer axes, the sum over this axis of the products of ``fall`` and ``sums``."""
+        """Sum the products of ``fall`` and ``sums`` along this axis, for each node on the earlier axes."""
         # the shapes are (places, points) and (places, k) to (outer, points·k)
         ends = (*self.first[1:], len(self.x))
         parts = [fall[low:high].T @ sums[low:high] for low, high in zip(self.first, ends, strict=True)]
         return np.stack(parts).reshape(len(parts), -1)
 
     def scattered(self, fall: Array, sums: Array) -> Array:
-        """Apply the transpose of the linear map ``gathered``, which maps (outer, points·k) to (places, k)."""
+        """Apply the transpose of the linear map ``gathered``; it maps (outer, points·k) to (places, k)."""
         ends = (*self.first[1:], len(self.x))
         cubes = sums.reshape(len(self.first), fall.shape[1], -1)
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
@@ -110,7 +116,7 @@ class AxisNodes(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadratureNodes(Displayed):
-    """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored."""
+    """Quadrature nodes of a region that is symmetric about 0. Only one node of each pair ±x is stored."""
 
     x: Array  # nodes, (nodes, n)
     weight: Array  # weights, (nodes,)
@@ -118,7 +124,7 @@ class QuadratureNodes(Displayed):
 
 
 class TooManyNodes(Exception):  # noqa: N818
-    """Raised if a quadrature needs more nodes than the limit on the computation allows."""
+    """Raised if a quadrature needs more nodes than the limit of the computation allows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +139,7 @@ class _Span:
 
 
 def place(white: White, region: Region, window: ErrorRegion, density: float, more: int, most: int) -> QuadratureNodes:
-    """Return quadrature nodes for a region, placed axis by axis."""
+    """Place quadrature nodes in a region, axis by axis."""
     n = len(white.m)
     levels = list[AxisNodes]()
     x, weight = np.zeros((1, 0)), np.ones(1)
@@ -196,7 +202,7 @@ def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[A
 
 @lru_cache(maxsize=64)
 def legendre(count: int) -> tuple[Array, Array]:
-    """Return the nodes and weights of Gauss–Legendre quadrature on [−1, 1], from a cache."""
+    """Return nodes and weights of Gauss–Legendre quadrature on [−1, 1]. They are computed only once."""
     nodes, weights = leggauss(count)
     return frozen(nodes), frozen(weights)
 
@@ -220,31 +226,33 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckMatrix(Displayed):
-    """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another."""
+    """Matrix with the probability that an error moves from one quadrature node to another in a check, and is
+    not sent.
+    """
 
     entries: Array  # probability to go from the node of the row to that of the column without a send, (nodes, nodes)
 
     @property
     def slack(self) -> float:
-        """Relative error that this map causes in send rate and excess cost; it is 0 for a stored matrix."""
+        """Relative error of send rate and excess cost due to this map of a check. It is 0 for a stored matrix."""
         return 0.0
 
     def after(self, share: Array) -> Array:
-        """Return the probability of each node after a trigger check, given the probabilities before the check."""
+        """Compute the probability of each node after a trigger check from the probabilities before the check."""
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + entries·X."""
+        """Solve X = known + entries·X: at each node, X is the expected sum of ``known`` until the next send."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
+        """Solve X = known + after(X): X is the expected number of visits to each node until the next send."""
         return CheckMatrix(self.entries.T).settled(known)
 
 
 @dataclass(frozen=True, repr=False)
 class QuadratureEffort(Displayed):
-    """Requested accuracy of a quadrature, and limits on its computation."""
+    """Requested accuracy of a quadrature, and the limits of its computation."""
 
     accuracy: float  # requested relative accuracy of rate and excess
     alive: Callable[[], None]  # called regularly; it may raise ``OutOfTime``
@@ -252,7 +260,9 @@ class QuadratureEffort(Displayed):
 
 
 class GridCheck:
-    """Effect of one trigger check on functions of the error at many quadrature nodes, computed by sums on a grid."""
+    """Map of one trigger check on very many quadrature nodes. It is computed by sums on a grid, without a stored
+    matrix.
+    """
 
     def __init__(self, white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> None:
         """Store the nodes and their effort."""
@@ -274,7 +284,7 @@ class GridCheck:
         self.read_back = self.read.T
 
     def ahead(self, values: Array) -> Array:
-        """Return, for each node, the expectation of a function at the next check; its value after a send is 0."""
+        """Compute at each node the expected value of a function at the next check. After a send, the function is 0."""
         sums = (self.scale * values)[:, None]
         for level, fall in zip(reversed(self.levels), reversed(self.falls), strict=True):
             sums = level.gathered(fall, sums)
@@ -282,7 +292,7 @@ class GridCheck:
         return np.asarray(self.read @ (even + np.flip(even)).ravel(), dtype=np.float64)
 
     def after(self, share: Array) -> Array:
-        """Return the probability of each node after a trigger check, given the probabilities before the check."""
+        """Compute the probability of each node after a trigger check from the probabilities before the check."""
         even = np.asarray(self.read_back @ share, dtype=np.float64).reshape(self.shape)
         sums = (even + np.flip(even)).reshape(1, -1)
         for level, fall in zip(self.levels, self.falls, strict=True):
@@ -290,11 +300,11 @@ class GridCheck:
         return self.scale * sums[:, 0]
 
     def settled(self, known: Array) -> Array:
-        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + ahead(X)."""
+        """Solve X = known + ahead(X): at each node, X is the expected sum of ``known`` until the next send."""
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
+        """Solve X = known + after(X): X is the expected number of visits to each node until the next send."""
         return self._solved(self.after, known)
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:
@@ -363,7 +373,7 @@ USELESS = 0.01  # relative error above which an answer is rejected
 
 @dataclass(frozen=True, eq=False, repr=False)
 class System(Displayed):
-    """Discretised renewal equations: the distribution of the unsent error after one check, and the map of a check."""
+    """Discretised renewal equations: distribution of the unsent error after one check, and the map of a check."""
 
     x: Array  # nodes, (nodes, n)
     share: Array  # weight of each node times (2π)^{-n/2}, the factor of the normal density, (nodes,)
@@ -374,7 +384,7 @@ class System(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solved(Displayed):
-    """Solution of the renewal equations: send rate, excess cost, and the expected time and cost until the next send."""
+    """Solution of the renewal equations: send rate, excess cost, and expected time and cost until the next send."""
 
     system: System  # the equations that were solved
     checks: Array  # expected checks until the next send, (nodes,)
@@ -385,18 +395,20 @@ class Solved(Displayed):
 
     @property
     def rounding(self) -> float:
-        """Relative error of the solution that finer nodes would not reduce."""
+        """Relative rounding error of the solution, which finer nodes would not reduce."""
         return ROUNDING * (1 + 1 / self.rate) + self.system.check.slack
 
     def moved(self, previous: Solved) -> float:
-        """Return the larger of the relative changes of rate and excess from a previous solution."""
+        """Compute the relative changes of send rate and excess cost since the last solution, and return the
+        larger one.
+        """
         excess = abs(self.excess - previous.excess) / self.excess if self.excess > 0 else 0.0
         return max(abs(self.rate - previous.rate) / self.rate, excess)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolutionPair(Displayed):
-    """Solutions of the renewal equations on fine and coarser nodes, and the error estimated from their difference."""
+    """Solutions of the renewal equations on coarser and finer nodes, from which the error is estimated."""
 
     found: Solved  # the finer solution
     rate_error: float  # absolute error of the rate
@@ -405,18 +417,18 @@ class SolutionPair(Displayed):
 
     @property
     def off(self) -> float:
-        """The larger of the relative errors of send rate and excess cost."""
+        """Relative error of the send rate or of the excess cost, whichever is larger."""
         excess = self.found.excess
         return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 
 
 def usual_accuracy(white: White) -> float:
-    """Return the default relative accuracy."""
+    """Return the default relative accuracy, which depends on the dimension of the error."""
     return USUAL_ACCURACY if len(white.m) < 3 else USUAL_IN_SPACE
 
 
 def afforded(step: int, dimensions: int) -> int:
-    """Return the largest number of quadrature nodes that is allowed in an attempt."""
+    """Return the largest number of quadrature nodes that one attempt to solve the equations may use."""
     # The first attempt uses fewer nodes, because its error estimate needs a finer one. The exponent is n/2, not n, as
     # part of the nodes of a chord does not depend on the density.
     return MOST_STORED_NODES if step else int(MOST_STORED_NODES / FINER ** (dimensions / 2))
@@ -429,14 +441,14 @@ def most_dense(dimensions: int, accuracy: float) -> int:
 
 
 def first_density(accuracy: float) -> float:
-    """Return the density of the quadrature nodes in the first attempt."""
+    """Return the density of quadrature nodes for the first attempt, given the requested accuracy."""
     return FIRST_DENSITY * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL_ACCURACY)))
 
 
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
 ) -> SolutionPair:
-    """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change."""
+    """Solve the renewal equations with more and more nodes, until send rate and excess cost no longer change."""
     density, factor = first_density(accuracy), NARROW
     previous, best, missed = None, None, 0
     for step in range(RUNGS):
@@ -474,7 +486,7 @@ def climb(
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: QuadratureEffort) -> ErrorRegion:
-    """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors."""
+    """Find a bounded region that contains nearly all errors that are not sent, by iteration on coarse nodes."""
     window = ErrorRegion(covariance, np.full(len(covariance), REACH))
     accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
     for _ in range(WINDOW_PASSES):
@@ -498,7 +510,7 @@ def find_window(white: White, region: Region, covariance: Array, effort: Quadrat
 
 
 def discretise_renewal(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> System:
-    """Return the discretised renewal equations; because of symmetry, one node represents both x and −x."""
+    """Discretise the renewal equations on quadrature nodes. By symmetry, one node represents both x and −x."""
     n = len(white.m)
     density = (2 * np.pi) ** (-n / 2) * nodes.weight
     start = 2 * density * np.exp(-0.5 * (nodes.x * nodes.x).sum(axis=1))
@@ -514,7 +526,7 @@ def discretise_renewal(white: White, nodes: QuadratureNodes, effort: QuadratureE
 
 
 def solve_on_nodes(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> Solved | None:
-    """Return the solution of the renewal equations on given nodes, or None if the nodes are too coarse."""
+    """Solve the renewal equations on the given nodes. Return None if the nodes are too coarse."""
     system = discretise_renewal(white, nodes, effort)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
     solution = system.check.settled(known)
@@ -543,7 +555,7 @@ def _reach(system: System, visits: Array, window: ErrorRegion, share: float) -> 
 
 
 def gaussian_factors(means: Array, x: Array) -> Array:
-    """Return the Gaussian factors exp(−½|x_j − mean_i|²) for all means and points."""
+    """Compute the Gaussian factors exp(−½|x_j − mean_i|²) for all means and all points."""
     # from differences, because squares of large coordinates would cancel
     power = np.zeros((len(means), len(x)))
     for axis in range(x.shape[1]):

@@ -1,4 +1,4 @@
-"""Certified bounds on the send rate of an error with Gaussian noise that a send resets, in any dimension.
+"""Certified bounds on the send rate of an error with Gaussian noise that each send resets, in any dimension.
 
 Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error without sends, and E = {e: e'Ψe ≤ δ}, a convex and
 symmetric set. Let p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E), the survival of an interval. The rate is 1/Σ_j a_j.
@@ -47,7 +47,7 @@ FLOOR = 1e-13  # absolute rounding error of the integral along the contour
 
 
 def enclosed(weights: Array, limit: float) -> tuple[float, float]:
-    """Return tight lower and upper bounds on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1)."""
+    """Compute tight lower and upper bounds on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1)."""
     scaled = weights[weights > NEGLIGIBLE * limit] / limit
     if not len(scaled):
         return 1.0, 1.0
@@ -112,14 +112,14 @@ ROUNDED = 1e-12  # absolute error of a probability that is convolved by Fourier 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowBound(Displayed):
-    """Upper bounds on the number of sends in a window of consecutive checks."""
+    """Upper bounds on the number of sends in any window of successive checks."""
 
     mean: float  # upper bound on the mean number of sends
     most: int  # upper bound on the number of sends that holds with the requested confidence
 
 
 def rate_bounds(chain: Chain) -> tuple[float, float]:
-    """Return certified bounds on the sends per check of an error with Gaussian noise, in any dimension."""
+    """Compute certified bounds on the sends per check of an error with Gaussian noise, in any dimension."""
     data = _seen(chain)
     onward = _onward(data)
     kept = _kept(data)
@@ -144,12 +144,12 @@ def rate_bounds(chain: Chain) -> tuple[float, float]:
 
 
 def least_interval(chain: Chain, checks: int = FEW) -> float:
-    """Return 1 + q_1 + q_2 + …, a lower bound on the mean number of checks between sends, from some checks."""
+    """Compute 1 + q_1 + … + q_k for k = ``checks``, a lower bound on the mean number of checks between sends."""
     return float(_survival(chain, count("checks", checks)).sum())
 
 
 def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound:
-    """Return upper bounds on the number of sends in any window of consecutive checks of a given length."""
+    """Bound the number of sends in any window of ``checks`` successive checks from above."""
     count("checks", checks)
     number("confidence", confidence, 0.0, 1 - 1e-10)
     arrives = np.concatenate([[0.0], -np.diff(_survival(chain, checks))])[:checks]  # at 0, 1, …, k − 1

@@ -1,4 +1,4 @@
-"""Policies that can be analysed but that no node can run: triggers in continuous time, and the optimal schedule.
+"""Policies that can be analysed, but that nodes cannot run: triggers in continuous time, and the optimal schedule.
 
 Packages that use the library register kinds of such policies. Studies ask a policy through this class, and do not know
 which of them it is.
@@ -19,11 +19,10 @@ from taciturn.model.policy import Policy
 
 
 class PolicyWithoutSteps(Displayed, ABC):
-    """A policy that can be analysed but that no node can run.
+    """A policy that can be analysed, although nodes cannot run it.
 
-    Its subclasses have the name of the ``kind``. ``looked_at`` is a policy with the same nodes and another trigger,
-    which supplies the properties of the loop, or None if the policy has no steps in time. If it has one, the policy is
-    solved and never simulated.
+    ``looked_at`` is a policy with the same nodes and another trigger, from which studies take the properties of the
+    loop. It is None if the policy has no steps in time. A policy with ``looked_at`` is solved and never simulated.
     """
 
     kind: str
@@ -36,41 +35,51 @@ class PolicyWithoutSteps(Displayed, ABC):
 
     @property
     @abstractmethod
+    def sends_when(self) -> str:
+        """When the policy sends a packet, as a clause of a sentence."""
+
+    @property
+    @abstractmethod
     def why_it_cannot_run(self) -> str:
-        """The reason why nodes cannot run the policy, and the remedy."""
+        """Reason why nodes cannot run the policy, and a remedy, as text."""
 
     @property
     def called(self) -> str:
-        """The kind of the policy in messages about what it does not use."""
+        """Name of the policy's kind, for messages about options that it does not support."""
         return self.kind
 
     @abstractmethod
     def measure(self, loop: Any, request: Any, progress: Progress | None) -> Any:
-        """Return cost and rates as ``Measured`` for a ``Request`` (``study.measure``), of ``looked_at`` as a loop."""
+        """Compute cost and rates of the policy with the requested accuracy, from the loop of the policy
+        ``looked_at``.
+        """
 
     def bound(self, interval: float = 0.0) -> float | None:
-        """Return an upper bound on the cost for a mean interval between sends; for 0, it holds for all intervals."""
+        """Return an upper bound on the cost for a mean interval between sends; for the interval 0, it is valid
+        for all.
+        """
         del interval
         return None
 
     def bound_error(self, interval: Estimate) -> float:
-        """Return the standard error of the bound that is due to the standard error of the mean interval."""
+        """Return the standard error of the cost bound that follows from the standard error of the mean interval."""
         del interval
         return 0.0
 
     def short(self) -> str:
-        """Return the kind of the policy."""
+        """Return the name of the policy's kind."""
         return self.kind
 
     def refuse(self, given: Mapping[str, bool]) -> None:
-        """Raise a ``ProblemError`` if an argument is given that this policy does not use."""
+        """Raise ``ProblemError`` if the user has set an option that this policy does not support."""
         for name in (name for name, is_given in given.items() if is_given):
             raise ProblemError(
-                f"{name} is given, which {self.called} does not use; expected {self.instead}, or no {name}"
+                f"the option {name} is given, which the policy {self.called} does not use; expected {self.instead}, or "
+                f"no {name}"
             )
 
     def refuse_what_is_only_simulated(self, plant: Plant | ContinuousPlant) -> None:
-        """Raise a ``ProblemError`` if a plant has data that only a simulation uses."""
+        """Raise ``ProblemError`` if the plant has a property that only simulations use, such as input limits."""
         self.refuse({
             "plant.input_limit": plant.input_limit is not None,
             "plant.input_rate": plant.input_rate is not None,
@@ -80,5 +89,5 @@ class PolicyWithoutSteps(Displayed, ABC):
 
 
 def nodes_of(policy: Policy | PolicyWithoutSteps) -> Policy | None:
-    """Return the policy whose steps the nodes of a policy have, or None if it has no steps."""
+    """Return the policy that nodes run instead of the given one; None if there is none."""
     return policy.looked_at if isinstance(policy, PolicyWithoutSteps) else policy

@@ -1,4 +1,4 @@
-"""Average cost and send rates of a closed loop by simulation of independent paths, with standard errors.
+"""Average cost and send rates of a closed loop, simulated on independent paths, with standard errors.
 
 The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. If the
 theory has an identity for the cost, completed squares are averaged instead of stage costs:
@@ -8,6 +8,11 @@ theory has an identity for the cost, completed squares are averaged instead of s
 Their variance is up to thousands of times smaller. It is a difference of large numbers if J is far below J_base, so in
 this case, such as a horizon over which sending every sample destabilises the loop, the first windows are also simulated
 with the plain average, and the smaller standard error decides.
+
+A loop without an identity is simulated together with the loop that sends every sample, on the same random numbers, if
+the cost of the latter is known exactly (``analyse.every_sample``). The mean of the difference of their stage costs is
+added to this cost. The same first windows tell the error of the plain average, which is used if it needs less work for
+an error.
 
 A loop without a horizon is simulated in stationary operation, in windows of steps until the standard error is reached
 (``sampling``); over a horizon, runs are repeated. Two loops are compared with the same noise on each path, so that
@@ -26,6 +31,7 @@ import numpy as np
 
 from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress, in_notebook
+from taciturn.analyse.every_sample import MORE, with_every_sample
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.reliability import (
@@ -44,8 +50,8 @@ from taciturn.simulation.sampling import (
     Estimator,
     Part,
     Sampling,
+    counts,
     last_of,
-    sends,
 )
 
 _LEAST_STEPS, _MOST_STEPS = 1024, 1e13  # the largest number takes hours
@@ -54,6 +60,8 @@ _PER_STEP = 0.05  # counted work per operation of a program in a step, since man
 _TO_START = 1.2e7  # counted work to build and compile a program
 _LEAN = 60  # operations of a small program
 _CANCELS = 0.5  # share of an identity's constant below which the cost is a difference of larger numbers
+AVERAGED = {EXCESS: "completed squares", MORE: "difference to every sample", COST: "plain average"}
+_BOTH = 2.0  # largest ratio of the work of a loop and the one that sends every sample, and of the loop alone
 _DIGITS = 1e-12  # rounding error of such a difference, relative to the constant
 
 
@@ -67,7 +75,7 @@ def average(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Averages:
-    """Estimate average cost and send rates of a loop in stationary operation, or over a finite horizon.
+    """Estimate average cost and send rates of a loop, in stationary operation or over a finite horizon.
 
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
@@ -107,7 +115,7 @@ def difference(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Averages:
-    """Estimate the differences in cost and send rates between two loops, simulated with the same noise.
+    """Estimate by how much cost and send rates of two loops differ, simulated with the same noise.
 
     Each path has the same noise in both loops, so common variations cancel before averaging, and the standard error is
     that of the difference. Both costs are computed from completed squares if both loops have a cost identity; otherwise
@@ -163,7 +171,7 @@ def difference(
 
 
 class Averaging:
-    """A simulation of a loop that can predict its remaining computation from the first windows of steps."""
+    """Simulation of a loop that can be stopped. After its first steps, it predicts how much computation remains."""
 
     def __init__(
         self,
@@ -186,7 +194,7 @@ class Averaging:
         self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
-        """Simulate the first windows, and return the approximate number of remaining operations."""
+        """Simulate the first windows of steps, and return about how many operations remain."""
         # The number is infinite if the loop is unstable.
         self._begin()
         if isinstance(self.failed, OutOfTime):
@@ -199,7 +207,7 @@ class Averaging:
         return _PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
-        """Continue the simulation to its end, and return the same result as :func:`average`."""
+        """Continue the simulation to its end, and return what the function :func:`average` returns."""
         self._begin()
         if self.failed is not None:
             raise self.failed
@@ -209,7 +217,7 @@ class Averaging:
         """Prepare a simulation with an estimator."""
         self.estimator = estimator
         self.parts = [Part(self.loop, estimator)]
-        self.answers = _answers(self.parts, *self.effort)
+        self.answers: Iterator[Averages] = _answers(self.parts, *self.effort)
 
     def _begin(self) -> None:
         """Simulate the first windows, unless this is done, and choose the estimator with the smaller error."""
@@ -221,6 +229,8 @@ class Averaging:
             self.failed = error
             return
         estimator, answers, found = self.estimator, self.answers, self.first
+        if not self.chosen and found.plain_error is not None:
+            self._without_difference(found.cost.standard_error, found.plain_error)
         if self.chosen or estimator.sum != EXCESS or found.cost.value > _CANCELS * estimator.offset:
             return
         with suppress(UnstableError, OutOfTime):
@@ -230,6 +240,18 @@ class Averaging:
         if self.first is found or self.first.cost.standard_error > error:
             self.estimator, self.answers, self.first = estimator, answers, found
             self.parts = [Part(self.loop, estimator)]
+
+    def _without_difference(self, error: float, plain_error: float) -> None:
+        """Choose the plain average and simulate its first windows, if it needs less work for an error."""
+        if plain_error**2 >= _BOTH * error**2:
+            return
+        plain, before = plain_average(self.loop), (self.estimator, self.parts, self.answers)
+        if plain.program.operations * plain_error**2 < self.estimator.program.operations * error**2:
+            try:
+                self._use(plain)
+                self.first = next(self.answers)
+            except (UnstableError, OutOfTime):
+                self.estimator, self.parts, self.answers = before
 
 
 def _answers(
@@ -253,7 +275,7 @@ def _answers(
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
-    """Raise an error for an invalid seed, standard error or number of simulated steps."""
+    """Raise an error if the seed, the standard error or the number of steps of a simulation is invalid."""
     count("seed", seed, 0)
     if standard_error is not None and steps is not None:
         raise ProblemError("standard_error and steps are both given; expected one of them")
@@ -265,13 +287,12 @@ def check_effort(seed: int, standard_error: float | None, steps: int | None) -> 
 
 def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     """Add the name of the estimator and the reasons for doubt to averages."""
-    used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
-    found, loop = replace(found, estimator=used), parts[0].loop
+    found, loop = replace(found, estimator=AVERAGED[parts[0].estimator.sum]), parts[0].loop
     if len(parts) > 1:
         return found
     # completed squares are bounded if they are those of a decision and not of the input that is applied
     identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
-    unbounded = parts[0].estimator.sum == COST or (identity is not None and identity.on is None and lossy)
+    unbounded = parts[0].estimator.sum != EXCESS or (identity is not None and identity.on is None and lossy)
     notes = doubt_moments(loop) if unbounded or (loop.policy.theory.fourth or 0.0) >= 1 else ()
     notes = notes or doubt_tail(found.tail)
     if loop.horizon is not None:
@@ -292,23 +313,37 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 
 
 def base_rate(loop: Loop) -> float:
-    """Return the rate of sending every sample, per second or per step; for a finite horizon it is 1."""
+    """Return the rate of sending every sample, per second or per step. It is 1 for a finite horizon."""
     return 1.0 if loop.problem.cost.mission else 1 / loop.policy.tick
 
 
 def least_work(loop: Loop) -> float:
-    """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
+    """Return how many operations ``average`` needs, at least, until a loop is in stationary operation."""
     least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
     return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * SIMULATED_PATHS
 
 
 def choose_estimator(loop: Loop) -> Estimator:
-    """Return the cost estimator for a loop: completed squares if the theory allows them, or else the plain average."""
-    return plain_average(loop) if loop.identity is None else completed_squares(loop)
+    """Choose how to estimate a loop's cost: completed squares, difference to every sample, or plain average."""
+    if loop.identity is not None:
+        return completed_squares(loop)
+    return difference_to_every_sample(loop) or plain_average(loop)
+
+
+def difference_to_every_sample(loop: Loop) -> Estimator | None:
+    """Return the cost estimator J = J_every + E[difference of the stage costs], or None if J_every is not known.
+
+    Source: henderson2002
+    """
+    both, problem = with_every_sample(loop), loop.problem
+    if both is None:
+        return None
+    lean = both.program.keep({MORE, COST, *counts(loop)})
+    return Estimator(lean, both.program, MORE, problem.per_unit(both.cost), 1.0 / problem.tick, both.settling)
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
-    """Return the cost estimator J = J_all + E[completed square], in the innovations form if this form is valid.
+    """Return the cost estimator J = J_all + E[completed square], driven by innovations if this is valid.
 
     Args:
         loop: the closed loop.
@@ -323,19 +358,19 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
     if identity is None:
         raise ProblemError(
             "completion of squares does not apply to this loop; expected the plant and network of the design and a "
-            "policy with a cost identity, or the plain average of the cost"
+            "policy with a cost identity, or the sample average of the cost"
         )
     reduced = loop.reducible if reduced is None else reduced
     program = loop.reduced_program() if reduced else loop.program()
-    lean = program.keep({EXCESS, *sends(loop)})
+    lean = program.keep({EXCESS, *counts(loop)})
     return Estimator(lean, program, EXCESS, identity.constant, 1.0)
 
 
 def plain_average(loop: Loop) -> Estimator:
-    """Return the cost estimator that averages the stage cost of a loop."""
+    """Return the cost estimator that averages the stage cost over the steps of a loop."""
     final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
     problem, program = loop.problem, loop.program()
-    lean = program.keep({COST, *sends(loop)}, states=final)
+    lean = program.keep({COST, *counts(loop)}, states=final)
     if loop.horizon is None:
         return Estimator(lean, program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
     alpha = problem.cost.discount

@@ -1,4 +1,4 @@
-"""Simulation of many loops in parallel, one path each, for example for a network or for many values of a parameter.
+"""Simulation of many loops in parallel, with one path each: to vary a parameter, or to study a network.
 
 Loops whose programs differ only in their constants share machine code, in which each lane has constants of its own. So
 a parameter of a policy is varied without compiling again: 1000 thresholds are 1000 paths of one program. Loops of
@@ -29,14 +29,15 @@ from taciturn.simulation.sampling import find_loss, sends
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tally(Displayed):
-    """Simulated cost and sends of each loop in a bank of loops."""
+    """Cost and send rates of each loop in a bank of loops that were simulated in parallel."""
 
     cost: Array  # mean stage cost of each loop per unit of time, as for an average cost, (loops,)
     sends: Mapping[str, Array]  # mean sends per step of each loop, by link, (loops,)
 
 
 class Bank:
-    """A bank of loops that are simulated in parallel, one path each; loops of equal structure share machine code.
+    """A bank of loops, simulated in parallel with one path each. Loops that differ in constants only share machine
+    code.
 
     Loop i has the draws of path i of the seed. A bank may contain a loop several times, to average over paths.
 
@@ -70,7 +71,9 @@ class Bank:
             if loop.horizon is not None:
                 cost = loop.problem.cost
                 mission = f"discount {cost.discount:g}" if cost.discount < 1 else f"horizon {cost.horizon}"
-                raise ProblemError(f"a loop of {loop.policy.kind} has a cost with {mission}; expected an average cost")
+                raise ProblemError(
+                    f"a loop of the policy {loop.policy.kind} has a cost with {mission}; expected an average cost"
+                )
         loops = self.loops
         self._ticks = np.array([loop.problem.tick for loop in loops])
         self._noise = np.array([loop.problem.noise_cost for loop in loops]) / self._ticks
@@ -89,14 +92,14 @@ class Bank:
 
     @property
     def structures(self) -> int:
-        """Number of different programs that are compiled for the loops of this bank."""
+        """Number of different programs that must be compiled for the loops of this bank."""
         return len(self._steppers)
 
-    def run(self, ticks: int = 1, threads: int | None = None) -> Tally:
-        """Continue the simulation of all loops for a number of steps.
+    def run(self, steps: int = 1, threads: int | None = None) -> Tally:
+        """Continue the simulation of all loops for a number of steps. Return their costs and their numbers of sends.
 
         Args:
-            ticks: number of steps, at least 1.
+            steps: number of steps, at least 1.
             threads: number of threads; default: all processors; the result does not depend on it.
 
         Returns:
@@ -105,25 +108,25 @@ class Bank:
         Raises:
             UnstableError: a loop diverges, or the function of a nonlinear plant gives a non-finite number.
         """
-        ticks, many = count("ticks", ticks), len(self.loops)
+        steps, many = count("steps", steps), len(self.loops)
         threads = None if threads is None else count("threads", threads)
         cost, sent = self._noise.copy(), {link: np.zeros(many) for link in self._links}
         for k, (indices, stepper) in enumerate(self._steppers):
             before = self._states[k]
-            self._states[k], sums = stepper.run(before, ticks, threads)
+            self._states[k], sums = stepper.run(before, steps, threads)
             for name, total in sums.items():
                 if not np.isfinite(total).all():
                     place = int(np.flatnonzero(~np.isfinite(total))[0])
                     lost = int(indices[place])
                     program = _lean(self.loops[lost])
-                    find_loss(self.loops[lost], program, prepare(program), before[:, [place]], ticks)
+                    find_loss(self.loops[lost], program, prepare(program), before[:, [place]], steps)
                     raise UnstableError(
                         f"loop {lost} of the bank ({self.loops[lost].policy.kind}) diverges; expected stable loops"
                     )
                 if name == COST:
-                    cost[indices] += total / ticks / self._ticks[indices]
+                    cost[indices] += total / steps / self._ticks[indices]
                 elif isinstance(name, Sent):
-                    sent[name.link][indices] = total / ticks
+                    sent[name.link][indices] = total / steps
         return Tally(cost, sent)
 
 

@@ -1,4 +1,4 @@
-"""Warnings about simulated averages that do not exist or have unreliable standard errors.
+"""Warnings about simulated averages that do not exist, or whose standard errors are unreliable.
 
 While a link drops packets, the error of a mode that grows by ρ per step grows without control. If an outage lasts
 another step with probability q, the mean square of a loop is infinite for qρ² ≥ 1, and the variance of its cost for
@@ -20,6 +20,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._modes import root
 from taciturn._rational import Limit, unmoved
+from taciturn._text import number_of
 from taciturn.analyse.switched import drifting, outcomes
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
@@ -35,32 +36,32 @@ _HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its 
 
 
 def expect_arrivals(loop: Loop) -> None:
-    """Raise an error if link outages make the mean square of a loop infinite, whatever the send decisions."""
+    """Raise an error if a loop's mean square is infinite because of dropped packets, whatever the policy decides."""
     for link, outage, growth in _outages(loop):
         if outage == 1:
             raise UnstableError(
-                f"the loop of {loop.policy.kind} diverges: the {link} link drops every packet, and the plant is not "
-                "stable in open loop; expected a loss below 1"
+                f"the loop of the policy {loop.policy.kind} diverges: the {link} link drops every packet, and the "
+                "plant is not stable in open loop; expected a loss probability below 1"
             )
         if outage * growth**2 >= 1:
             raise UnstableError(
-                f"the loop of {loop.policy.kind} diverges: an outage of the {link} link lasts another step with "
-                f"probability {outage:.4g}, and in this step the mean square error grows by a factor of "
-                f"{growth**2:.4g}; expected a probability and a factor whose product is below 1: fewer losses, or "
-                "shorter bursts"
+                f"the loop of the policy {loop.policy.kind} diverges: an outage of the {link} link lasts another step "
+                f"with probability {outage:.4g}, and in this step the mean square error grows by a factor of "
+                f"{growth**2:.4g}; expected a probability and a factor whose product is below 1: smaller loss "
+                "probabilities, or shorter bursts"
             )
     found = outcomes(loop)
     if found is not None and not found.decides and (growth := found.growth(2)) >= 1:
         raise UnstableError(
-            f"the loop of {loop.policy.kind} diverges: with these losses its mean square grows by a factor of "
-            f"{growth:.6g} per step; expected fewer losses"
+            f"the loop of the policy {loop.policy.kind} diverges: with these losses, the mean square of its state "
+            f"grows by a factor of {growth:.6g} per step; expected smaller loss probabilities"
         )
 
 
 def find_doubts(
     loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
 ) -> tuple[str, ...]:
-    """Return the warnings about a simulated average."""
+    """List warnings about the reliability of a simulated average."""
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
     notes = loop.problem.remarks
     if escapes(loop):
@@ -82,21 +83,28 @@ def find_doubts(
         )
     if silent and comes_never_to_rest(loop):
         notes += (
-            f"nothing was sent on {silent} in the {steps} steps simulated, and the plant does not come to "
+            f"nothing was sent on {silent} in the {number_of(steps, 'step')} simulated, and the plant does not come to "
             "rest by itself: the cost depends on the length of the run and is not an average",
         )
+    elif silent and not settled and not drifts and loop.identity is None:
+        notes += (
+            f"nothing was sent on {silent} in the {steps} steps simulated: the cost is that of silence until the first "
+            "packet, and not an average",
+        )
     elif silent:
-        notes += (f"nothing was sent on {silent} in {steps} steps: the cost is that of silence",)
+        notes += (f"nothing was sent on {silent} in {number_of(steps, 'step')}: the cost is that of silence",)
     elif not settled and not drifts:
         notes += (
-            f"the loop has not settled within {steps} steps: cost and rates still depend on the initial state and "
-            "are not averages",
+            f"the loop has not settled within {number_of(steps, 'step')}: cost and rates still depend on the initial "
+            "state and are not averages",
         )
     return notes + doubt_errors(cost, steps)
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
-    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum."""
+    """Return a warning if, because of dropped packets, the variance of the cost or of its discounted sum is
+    infinite.
+    """
     # With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
     # finite.
     cost = loop.problem.cost
@@ -134,7 +142,7 @@ def _infinite(growth: float, sent: str, discounted: str) -> str:
 
 
 def doubt_tail(tail: float) -> tuple[str, ...]:
-    """Return a warning if the largest costs of paths follow a power law with infinite variance."""
+    """Return a warning if the largest costs of the paths follow a power law, with infinite variance."""
     if tail >= _HEAVY:
         return ()
     return (
@@ -144,18 +152,18 @@ def doubt_tail(tail: float) -> tuple[str, ...]:
 
 
 def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
-    """Return a warning if the standard error of a simulated cost is a large fraction of the cost."""
+    """Return a warning if the standard error is large compared with the simulated cost."""
     if cost.standard_error <= _LARGE * abs(cost.value):
         return ()
     share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
     return (
-        f"the standard error is {share:.2g} of the cost after {steps} steps: a few steps or paths dominate the "
-        "cost, and its mean square may not exist",
+        f"the standard error is {share:.2g} of the cost after {number_of(steps, 'step')}: a few steps or paths "
+        "dominate the cost, and its mean square may not exist",
     )
 
 
 def escapes(loop: Loop) -> bool:
-    """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
+    """Check whether noise will eventually drive an unstable plant so far that limited inputs cannot bring it back."""
     plant, limits = loop.problem.plant, loop.problem.plant.saturation
     if limits is None or _fastest(loop) <= 1 + _NEARLY:
         return False
@@ -183,19 +191,19 @@ def escapes(loop: Loop) -> bool:
 
 
 def wanders(loop: Loop) -> bool:
-    """Return whether disturbances or set-points eventually need inputs beyond their limits."""
+    """Check whether disturbances or set-points will eventually require inputs beyond the input limits."""
     limits, needs = loop.problem.plant.saturation, loop.problem.followed
     bounded = limits is not None and limits.bounded
     return bounded and needs is not None and needs.wanders(needs.inputs, wandering_noise(loop))
 
 
 def drifts_of(loop: Loop) -> tuple[str, ...]:
-    """Return the links whose rates have no average, since their decisions depend on disturbances that wander."""
+    """Return the links whose send rates have no average, because drifting disturbances affect their decisions."""
     return drifting(loop, wandering_noise(loop))
 
 
 def wandering_noise(loop: Loop) -> Array:
-    """Return the covariance of the noise that moves the states, without that of a timetable, which repeats."""
+    """Return the covariance of the process noise, but without the set-points of a timetable, because it repeats."""
     plant, noise = loop.problem.plant, loop.problem.plant.W.copy()
     if isinstance(plant.changes, SampledChanges):
         noise[-plant.changes.size :] = 0.0
@@ -220,7 +228,7 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
 
 
 def comes_never_to_rest(loop: Loop) -> bool:
-    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost."""
+    """Check whether noise excites a mode of a linear plant that affects the cost and does not decay."""
     # False if some such mode has no effect on the cost; states without a cost-to-go are ignored
     return _fastest(loop) > 0
 

@@ -1,4 +1,4 @@
-"""Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors.
+"""Simulation of many paths of a loop, or of two loops with the same noise, to estimate means and standard errors.
 
 A run has a burn-in and windows of steps that are averaged. Control variates, whose mean is 0, reduce the variance of
 the means (``program.draws``). A path whose cost grows without limit, or a non-finite number, ends the run with an error
@@ -25,7 +25,7 @@ settled.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import lcm
 
@@ -35,15 +35,16 @@ import numpy.typing as npt
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
+from taciturn.analyse.every_sample import MORE
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.draws import GENERATOR, controlled
 from taciturn.program.engine import Runner, prepare
 from taciturn.program.ir import Program
-from taciturn.program.ops import Control, Name, Sent
+from taciturn.program.ops import Control, Name, Sent, Silence
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
-from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
+from taciturn.simulation.statistics import Moments, controlled_mean, mean, rate_of, tail_index
 
 # the run: paths, steps, and the precision that is asked for
 SIMULATED_PATHS = 4096
@@ -55,6 +56,7 @@ _DRIFTING_STEPS = 20_000_000  # of a loop that has no average
 _CHUNK = 1 << 24  # steps between two reports of progress
 USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
 _ROOM = 8  # least number of paths per control variate
+_SEEN = 1e-6  # difference of two loops on a path, relative to the largest one, below which it does not count
 _PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
 
 # the burn-in, and the comparison of windows
@@ -86,23 +88,24 @@ Watch = Callable[[Array], Array]  # further numbers of each path that have to se
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimator(Displayed):
-    """Estimator of a loop's cost: a simulation program, and the relation cost = offset + scale·(mean of a sum)."""
+    """How to estimate a loop's cost: a simulation program, and cost = offset + scale·(mean of one of its sums)."""
 
     program: Program  # program of one step of the loop
     whole: Program | None  # the complete program, from which control variates are derived; None for finite-horizon runs
     sum: str  # name of the sum
     offset: float  # constant term, in the units of the cost
     scale: float  # factor of the mean per step
+    settling: float = 0.0  # time constant in steps of another loop that the program contains
 
     @cached_property
     def controlled(self) -> Program | None:
-        """The simulation program with control variates as additional sums; None for finite-horizon runs."""
+        """Simulation program with control variates as further sums; None for runs over a finite horizon."""
         return None if self.whole is None else controlled(self.whole, self.program)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(Displayed):
-    """A loop in a simulation, with its cost estimator and the sign with which its cost and rates are added."""
+    """A loop in a simulation, its cost estimator, and whether its cost and rates are added or subtracted."""
 
     loop: Loop  # the closed loop
     estimator: Estimator  # estimator of its cost
@@ -110,52 +113,71 @@ class Part(Displayed):
 
     @property
     def names(self) -> list[Name]:
-        """Names of the simulated sums that are read: the sum of the cost estimator, then the sends on each link."""
-        return [self.estimator.sum, *sends(self.loop)]
+        """Names of the sums that the simulation needs: cost estimator, ``counts`` and, if needed, stage cost."""
+        return [self.estimator.sum, *counts(self.loop), *([COST] if self.estimator.sum == MORE else [])]
+
+    @property
+    def paid(self) -> int | None:
+        """Index of the stage cost among the sums of ``names``; None if the simulation does not need it."""
+        return self.names.index(COST) if COST in self.names else None
 
     @property
     def controls(self) -> list[Control]:
-        """Names of the control variates of this loop's cost, whose mean is 0."""
+        """Names of the control variates for this loop's cost. Each has mean 0."""
         program = self.estimator.controlled
         return [] if program is None else [name for name in program.sums if isinstance(name, Control)]
 
     @property
     def settling(self) -> float:
-        """Slowest time constant of the loop, in steps."""
-        return self.loop.policy.theory.settling
+        """Largest time constant of the loop, in steps."""
+        return max(self.loop.policy.theory.settling, self.estimator.settling)
 
     @property
     def distance(self) -> float:
-        """Number of time constants in which a large initial state decays to noise level: ln(1 + |mean|/deviation)."""
+        """Number of time constants until a large initial state has decayed to the size of the noise: ln(1 +
+        |mean|/deviation).
+        """
         plant = self.loop.problem.plant
         deviation = float(np.sqrt(np.diag(plant.W).max()))
         return float(np.log1p(np.abs(plant.mean).max() / deviation)) if deviation > 0 else 0.0
 
     def diverges(self, how: str) -> UnstableError:
-        """Return the exception for a diverging loop, with the observation that shows the divergence."""
+        """Create the exception for a loop that diverges. ``how`` is the observation that shows it."""
         ranges = ", the range of the payload" if self.loop.network.payload != "float64" else ""
         return UnstableError(
             f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop: send more often, "
             f"or check [plant.actual]{ranges} and input_limit"
         )
 
-    def refuse_runaways(self, costs: Array, ticks: int) -> None:
-        """Raise an error if one path has diverged, as is possible for an unstable plant with limited inputs."""
-        size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
+    def refuse_runaways(self, sums: Array, ticks: int) -> None:
+        """Raise an error if a path has diverged, as may happen for an unstable plant with limited inputs."""
+        if self.paid is None:
+            return
+        size = np.sort(np.abs(sums[self.paid]))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = (self.loop.policy.theory.cost_all_time or 0.0) * self.loop.policy.tick
-        if self.estimator.sum == COST and typical > 0 and largest > max(_RUNAWAY * typical, ticks * all_time):
+        if typical > 0 and largest > max(_RUNAWAY * typical, ticks * all_time):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 
 
 def sends(loop: Loop) -> list[Sent]:
-    """Return the names of a program's sums that count the sends on each link with a send decision."""
+    """List the names of the sums of packets, one for each link on which the policy decides when to send."""
     return [Sent(link) for link in loop.policy.scheduled]
+
+
+def silences(loop: Loop) -> list[Silence]:
+    """List the names of the sums of the cost of not sending, one for each node that bounds this cost by itself."""
+    return [Silence(links) for links in loop.policy.theory.silence]
+
+
+def counts(loop: Loop) -> list[Sent | Silence]:
+    """List the names of all sums except the cost: packets sent, and cost of not sending."""
+    return [*sends(loop), *silences(loop)]
 
 
 @dataclass(frozen=True, repr=False)
 class Averages(Displayed):
-    """Result of a simulation.
+    """Average cost and send rates of a simulated loop, with their standard errors.
 
     Args:
         cost: cost per unit of time, or the total of a finite horizon.
@@ -166,11 +188,16 @@ class Averages(Displayed):
         reached: whether the requested standard error was reached.
         notes: reasons to doubt the numbers.
         settled: whether the initial transient has decayed.
-        estimator: averaged quantity: "completed squares", "plain average" or "conditional sampling"; or "".
+        estimator: averaged quantity: "completed squares", "difference to every sample", "plain average" or "conditional
+            sampling"; or "".
         tail: index of the power law of the paths with the highest costs; infinite if there are too few paths.
         rate_unit: unit of time of the rates: ``"step"`` or ``"second"``.
         trusted: whether the variance of the cost is finite, as far as is known; if not, the standard error is
             meaningless.
+        silence: what the silence of each node adds to the cost of its own response, in the unit of the cost, by the
+            links that the node decides together.
+        plain_error: standard error that the plain average has over the same steps, if the difference to every sample is
+            averaged; else None.
     """
 
     cost: Estimate
@@ -184,10 +211,12 @@ class Averages(Displayed):
     tail: float = np.inf
     rate_unit: str = "step"
     trusted: bool = True
+    silence: Mapping[tuple[str, ...], Estimate] = field(hash=False, default_factory=lambda: {})
+    plain_error: float | None = None
 
 
 class Sampling:
-    """Simulation of one loop, or of two loops with the same noise whose results are subtracted on each path."""
+    """Simulation of one loop, or of two loops with the same noise whose results are subtracted path by path."""
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile the programs."""
@@ -205,13 +234,14 @@ class Sampling:
         self.counted: npt.NDArray[np.bool_] = np.array([isinstance(name, Sent) for name in read])
         self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
 
-    def _add_controls(self, paths: int) -> bool:
+    def _add_controls(self, history: History) -> bool:
         """Add control variates to the sums if there are any and enough paths to fit them; return whether it did."""
-        # They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths
-        # only.
-        part = self.parts[0]
+        # If two loops differ on few paths, the fit depends on these paths only. So there are none for a difference of
+        # two parts, and of every sample only the paths on which it is seen count.
+        part, size = self.parts[0], np.abs(history.windows[-1][1][0])
         if len(self.parts) > 1 or self.controls.any():
             return False
+        paths = int((size > _SEEN * size.max()).sum()) if part.estimator.sum == MORE else len(size)
         program, many = part.estimator.controlled, len(part.controls)
         if program is None or many == 0 or paths < _ROOM * (many + 1):
             return False
@@ -219,7 +249,7 @@ class Sampling:
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of stationary cost and rates after each window of simulated steps."""
+        """Yield estimates of stationary cost and rates, a new one after each window of simulated steps."""
         # The iteration ends at the given absolute standard error or number of steps.
         drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
@@ -227,9 +257,9 @@ class Sampling:
         few = max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8)
         most = SIMULATED_PATHS if steps else min(SIMULATED_PATHS, few)
         states, history, forgotten = self.settle(most, budget)
-        paths, first = states[0].shape[1], history.steps
+        first = history.steps
         if steps is not None and self._affordable(states, budget) > _PAYS * first:
-            self._add_controls(paths)
+            self._add_controls(history)
         window = min(first, self._affordable(states, budget) // 2)  # at least two windows, for comparison
         while True:
             left = self._affordable(states, budget)
@@ -238,7 +268,7 @@ class Sampling:
             window = self._whole(max(1, window))
             sums, states = self._advance(states, window)
             for part, rows in zip(self.parts, self.rows, strict=True):
-                part.refuse_runaways(sums[rows][0], window)
+                part.refuse_runaways(sums[rows], window)
             self._refuse_growth(history, window, sums)
             history.add(window, sums)
             kept = history.kept(first)
@@ -248,25 +278,31 @@ class Sampling:
             length, sums = _joined(kept)
             means = sums / length
             cost, rates = self._summary(means, kept)
+            silence = {links: mean(row).scaled(self._pace_of_cost) for links, row in self._added(means).items()}
+            found = Averages(
+                cost, rates, self.steps, dropped, True, tail=self._tail(means), silence=silence,
+                plain_error=self._plain_error(means),
+            )  # fmt: skip
+            settled = settled and not self._unheard(means)
             measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and settled and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
             if steps is None and (drifts or (long_enough and self._is_precise(cost, target))):
-                yield Averages(cost, rates, self.steps, dropped, True, tail=self._tail(means))
+                yield found
                 return
             reached = left <= window and steps is not None and long_enough
-            yield Averages(cost, rates, self.steps, dropped, reached, settled=long_enough, tail=self._tail(means))
+            yield replace(found, reached=reached, settled=long_enough)
             if left <= window:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
-            if missing > _PAYS * measured and self._add_controls(paths):
+            if missing > _PAYS * measured and self._add_controls(history):
                 first = history.steps
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs."""
+        """Yield estimates of cost and rates of runs over a finite horizon, a new one after each batch of runs."""
         # The iteration ends at the given absolute standard error or number of steps.
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
         if _FEWEST_MISSIONS * horizon * width > budget:
@@ -277,6 +313,7 @@ class Sampling:
         paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
         share = 1 / horizon if discount == 1 else 1 - discount  # weight of a step in a rate
         costs, first, rates = Moments(), Moments(), dict[str, Moments]()
+        added = dict[tuple[str, ...], Moments]()
         while True:
             done = self.steps // horizon // width
             states = [part.loop.start(part.estimator.program, paths, self.seed, first=done) for part in self.parts]
@@ -289,12 +326,16 @@ class Sampling:
             first.add(sums[0])
             for link, row in self._sends(sums).items():
                 rates.setdefault(link, Moments()).add(row)
+            for links, row in self._added(sums).items():
+                added.setdefault(links, Moments()).add(row)
             cost = self._rounded(costs.mean()).scaled(1.0, self.offset)
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
             target = self._target(standard_error, first.center)
             reached = steps is None and self._is_precise(cost, target)
             last = reached or self.steps + paths * horizon * width > budget
-            yield Averages(cost, found, self.steps, 0, reached or (last and steps is not None), tail=self._tail(sums))
+            silence = {links: moments.mean() for links, moments in added.items()}
+            done = reached or (last and steps is not None)
+            yield Averages(cost, found, self.steps, 0, done, tail=self._tail(sums), silence=silence)
             if last:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
@@ -320,7 +361,9 @@ class Sampling:
         return -(-ticks // cycle) * cycle
 
     def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
-        """Return states of at most so many paths in stationary operation, their history, and whether they settled."""
+        """Simulate until the transient has decayed. Return the final states, the history, and whether it has
+        decayed.
+        """
         # The initial transient has decayed after a few time constants, a few mean intervals between sends, a late send
         # on nearly every path, and when sums no longer change (``History``). No send is required if nothing is sent and
         # silence is safe. If the burn-in is long, fewer paths continue; half of the budget is reserved for the
@@ -361,6 +404,23 @@ class Sampling:
             if paths < min(_FEWEST_PATHS, now):
                 return states, history, settled
             states = [state[:, :paths] for state in states]
+
+    def _unheard(self, means: Array) -> bool:
+        """Return whether no packet has been sent on a link, after which the loop may be another one for long."""
+        # With an identity, each silent step costs what it has cost so far. Without one, the controller goes on as if
+        # its packets had arrived, and a rare first packet moves integrals and banks that have been at rest.
+        loop = self.parts[0].loop
+        if len(self.parts) > 1 or loop.identity is not None or loop.policy.theory.closed_form is not None:
+            return False
+        rates: list[float] = means[self.counted].mean(axis=1).tolist()
+        silent = [name.link for name, rate in zip(sends(loop), rates, strict=True) if rate == 0]
+        return not {*silent} <= {*loop.policy.theory.fixed_rates, *self._without_need(means, silent)}
+
+    def _without_need(self, means: Array, silent: Sequence[str]) -> Iterator[str]:
+        """Yield the links of a node that sends on another link, or whose silence costs nothing, as of a command 0."""
+        for links, costs in self._added(means).items():
+            if not costs.any() or not {*links} <= {*silent}:
+                yield from links
 
     def _pace(self, rates: Array) -> float:
         """Return the steps until a transient has decayed, from time constants and intervals between sends."""
@@ -414,9 +474,29 @@ class Sampling:
         """Return the sends of the paths on each link, summed over the parts, (paths,)."""
         found: dict[str, Array] = {}
         for part, rows in zip(self.parts, self.rows, strict=True):
-            for name, row in zip(sends(part.loop), sums[rows][1 : len(part.names)], strict=True):
-                found[name.link] = found.get(name.link, 0.0) + part.sign * row
+            for name, row in zip(part.names, sums[rows], strict=False):  # control variates follow
+                if isinstance(name, Sent):
+                    found[name.link] = found.get(name.link, 0.0) + part.sign * row
         return found
+
+    def _added(self, sums: Array) -> dict[tuple[str, ...], Array]:
+        """Return the cost that the silence of each node adds, (paths,); nothing for the difference of two loops."""
+        if len(self.parts) > 1:
+            return {}
+        named = zip(self.parts[0].names, sums[self.rows[0]], strict=False)  # control variates follow
+        return {name.links: row for name, row in named if isinstance(name, Silence)}
+
+    def _plain_error(self, means: Array) -> float | None:
+        """Return the standard error of the plain average, if the difference to every sample is averaged."""
+        part, place = self.parts[0], self.parts[0].paid
+        if part.estimator.sum != MORE or place is None:
+            return None
+        return part.estimator.scale * mean(means[self.rows[0].start + place]).standard_error
+
+    @cached_property
+    def _pace_of_cost(self) -> float:
+        """Steps per unit of time of an average cost."""
+        return 1 / self.parts[0].loop.problem.tick
 
     def _summary(self, means: Array, kept: Sequence[Window]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
@@ -453,7 +533,7 @@ class Sampling:
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
-    """Return the last of successively better simulation results, or the last one before the time limit."""
+    """Return the last result that a simulation yields: at its end, or before the time limit."""
     try:
         for found in answers:  # noqa: B007 (only the last one is used)
             pass
@@ -497,7 +577,7 @@ def _joined(windows: Sequence[Window], rows: int | None = None) -> Window:
 
 
 class History:
-    """The windows of steps since the start of all paths."""
+    """The sums of all paths since their start, window of steps by window of steps."""
 
     def __init__(self, counted: Bits) -> None:
         """Start without windows."""
@@ -506,16 +586,16 @@ class History:
 
     @property
     def steps(self) -> int:
-        """Steps of each path since its start."""
+        """Number of steps that each path has taken since its start."""
         return sum(length for length, _ in self.windows)
 
     def add(self, length: int, sums: Array) -> None:
-        """Add a window; earlier windows keep only the paths that are still simulated."""
+        """Add a window of steps. If fewer paths are simulated than before, only these are kept in earlier windows."""
         paths = sums.shape[1]
         self.windows = [(steps, earlier[:, :paths]) for steps, earlier in self.windows] + [(length, sums)]
 
     def drift(self) -> int:
-        """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
+        """Return the step at which the last significant change of the means ends; 0 if there was no change."""
         ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
         for j in range(len(self.windows) - 1, 0, -1):  # from the last one, as the latest difference decides
             later = _joined(self.windows[j:], rows)
@@ -528,7 +608,7 @@ class History:
         return 0
 
     def kept(self, first: int) -> list[Window]:
-        """Return the windows that begin at the given step or later, and late enough after the last difference."""
+        """Return the windows after step ``first`` that begin long enough after the last change of the means."""
         first = max(first, _AGAIN * self.drift())
         begins = np.cumsum([0] + [length for length, _ in self.windows])
         return [window for begin, window in zip(begins, self.windows, strict=False) if begin >= first]
@@ -547,7 +627,7 @@ class History:
 
 
 class Snapshots:
-    """The states of all paths at the end of the latest window, to compare their distribution with that at the next."""
+    """States of all paths at the end of a window, which show whether their distribution still changes."""
 
     def __init__(self) -> None:
         """Start without states."""
@@ -555,7 +635,7 @@ class Snapshots:
         self._largest: Array | float = 0.0
 
     def changed(self, states: Array) -> bool:
-        """Return whether the distribution of a state has changed since the last call, and keep the states."""
+        """Check whether the distribution of a state has changed since the last call. Store the present states."""
         # A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
         before, self._states = self._states, states
         spread = states.std(axis=1)
@@ -576,7 +656,7 @@ def _distance(first: Array, second: Array) -> float:
 
 
 def expect_numbers(loop: Loop, states: Array) -> None:
-    """Raise an error if a simulated path contains non-finite states of a nonlinear plant."""
+    """Raise an error if a state of a nonlinear plant has become infinite or NaN on a simulated path."""
     lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
     if loop.problem.plant.function is None or not lost.size:
         return
@@ -585,7 +665,7 @@ def expect_numbers(loop: Loop, states: Array) -> None:
 
 
 def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
-    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation."""
+    """Raise an error if the function of a nonlinear plant has returned infinite values or NaN."""
     # One path is run again to find the step.
     rows = [i for i, state in enumerate(program.states) if state.name == "x"]
     if loop.problem.plant.function is None or not rows:
@@ -620,6 +700,6 @@ def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | N
         last = last + (point.x if entries is None else point.x[entries])
     whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
     return UnstableError(
-        f"the plant's function gives no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
-        "expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
+        f"the plant's function returns no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence};"
+        " expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
     )

@@ -1,4 +1,4 @@
-"""Means with standard errors, from independent paths or from one correlated record.
+"""Means with standard errors, from independent paths or from one record of dependent values.
 
 Independent values: the standard error of their mean, merged in batches (``Moments``), reduced by control variates of
 mean 0 (the intercept of a least-squares fit), and doubted if the largest values follow a power law (Hill's estimate).
@@ -26,14 +26,14 @@ _CYCLES = 30  # least number of cycles for a standard error
 
 
 class Moments:
-    """Mean and variance of values that are added in batches, computed in constant memory."""
+    """Mean and variance of values that are added in batches, with constant memory."""
 
     def __init__(self) -> None:
         """Start without values."""
         self.count, self.center, self.squares = 0, 0.0, 0.0
 
     def add(self, values: Array) -> None:
-        """Merge a batch (Chan's formula)."""
+        """Add a batch of values by Chan's formula."""
         count, center = len(values), float(values.mean())
         total, shift = self.count + count, center - self.center
         self.squares += float(((values - center) ** 2).sum()) + shift**2 * self.count * count / total
@@ -46,14 +46,14 @@ class Moments:
 
 
 def mean(values: Array) -> Estimate:
-    """Return the mean of a quantity over independent paths, with its standard error."""
+    """Compute the mean of a quantity over independent paths, and its standard error."""
     moments = Moments()
     moments.add(values)
     return moments.mean()
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0."""
+    """Compute the mean over independent paths. Control variates with mean 0 reduce its variance."""
     # The mean is the intercept of a least-squares fit on the control variates, with the standard error of the
     # intercept.
     spread = controls.std(axis=1)
@@ -68,7 +68,7 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 
 def tail_index(values: Array) -> float:
-    """Return Hill's estimate of the power-law index of the largest values, relative to the median."""
+    """Estimate the power-law index of the largest values, relative to the median, by Hill's method."""
     # If P(X > x) falls as x^−α, log(X/x_0) of the values above x_0 is exponential with mean 1/α.
     largest = len(values) // _TAIL
     if largest < _TAIL:
@@ -81,17 +81,17 @@ def tail_index(values: Array) -> float:
 
 
 def rate_of(values: Array, seen: int, end: float = 0.0) -> Estimate:
-    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps."""
+    """Compute the mean of observed send rates. Its standard error is at least one event in all observed steps."""
     found = mean(values)
     return Estimate(found.value, float(np.hypot(max(found.standard_error, 1 / seen), end)), found.method)
 
 
 def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
-    """Return the mean of one long record, with a standard error that accounts for correlation.
+    """Compute the mean of one long record. Its standard error takes the correlation of the values into account.
 
     The record is divided into batches of equal length. The means of the batches are nearly independent if a batch is
-    much longer than the correlation time of the record. Excess values at the start are dropped; remove the burn-in
-    before the call.
+    much longer than the correlation time of the record. Values at the start that do not fill a batch are dropped.
+    Remove the burn-in before the call.
 
     Args:
         record: values at successive steps, (steps,), such as the stage cost of a trajectory or of an experiment.
@@ -115,12 +115,14 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
     values, batches = array("record", record, (None,), "(ticks,)"), count("batches", batches, 10)
     length = len(values) // batches
     if length < 10:
-        raise ProblemError(f"record has {len(values)} values for {batches} batches; expected at least {10 * batches}")
+        raise ProblemError(
+            f"record has {len(values)} values for {batches} batches; expected at least {10 * batches} values"
+        )
     return _in_range(lambda: mean(values[-length * batches :].reshape(batches, length).mean(axis=1)), values)
 
 
 def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
-    """Return the mean of one record of a regenerative process, from the cycles between its renewals.
+    """Compute the mean of one record of a process that restarts at renewals, from the cycles between these.
 
     The mean is (value per cycle)/(steps per cycle). The cycles are independent, so the standard error is that of a
     ratio. The steps before the first renewal and after the last one are dropped, so no burn-in is needed.
@@ -154,7 +156,7 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     at = np.flatnonzero(begins)
     if len(at) <= _CYCLES:
         raise ProblemError(
-            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {_CYCLES}: use a longer record"
+            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {_CYCLES} cycles: use a longer record"
         )
 
     def found() -> Estimate:

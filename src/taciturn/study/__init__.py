@@ -1,11 +1,15 @@
-"""Studies of one problem: its policy is evaluated, or described without a simulation.
+"""Studies of one problem: evaluation of its policy by analysis or simulation, and description without computing cost.
 
 A study takes a ``Problem``, designs its policy, chooses the method with the least predicted work for the requested
 error, and returns frozen data with a JSON document, tables and figures.
 
 Read the modules in this order:
 
-1. ``evaluate`` with ``measure`` (choice of the method), and ``evaluation`` (its result). ``describe``: before that.
-2. ``periodic``: exact cost of periodic control with the same measurements, actuator and rate.
-3. ``record``: results as text, restored bit by bit.
+1. ``evaluate`` with ``measure`` (choice of the method), ``evaluation`` (its result), ``sentences`` (words for its
+   numbers) and ``evaluation_figure``; ``further_loops``: loops that it compares with its own. ``describe``: before
+   that.
+2. ``periodic``: exact cost of periodic control with the same measurements, actuator and rate; ``timed_links``: that of
+   a given controller whose links send at fixed steps.
+3. ``recorded``: the cost of silence in the logs of nodes, and the path of the loop that sends every sample.
+4. ``record``: results as text, restored bit by bit.
 """

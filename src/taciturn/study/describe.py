@@ -1,4 +1,4 @@
-"""Description of a problem and its policy without a simulation: plant, gains, guarantee, triggers, network.
+"""Description of a problem and its policy without a simulation: plant, gains, guarantee, triggers and network.
 
 ``describe`` designs the policy and closes the loop, but runs nothing. Its result lists, as ``Description.FIELDS``, what
 ``taciturn show`` prints and, with --json, writes:
@@ -9,41 +9,45 @@
 * the guarantee, in general and at a rate r of sends per step: base + per_silence (1 − r), or base + (Σ√(δ(1 − r)))²
   with δ of each group of links that are decided together. It is stated, but not claimed, if the loop violates
   assumptions of its design,
-* each decision: the quadratic forms η'Ψη + … of its options, of which the least value, or the first value below a
-  limit, decides; and the forms of signals that it compares,
-* network, nodes, links, and the steps for which a fault of a node has an effect.
+* network, nodes, and links: the contents of a packet and the rule by which it is sent (``model/rule``), with the
+  meaning of its symbols and its matrices; decisions of nodes that send no packet,
+* the steps for which a fault of a node has an effect.
+
+The document also has the forms of all options of the decisions, as the nodes compare them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from taciturn._modes import eigenvalues
 from taciturn._rational import Limit, unmoved
-from taciturn._text import Lines, per_unit
+from taciturn._text import Lines, number_of, per_unit
 from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
-from taciturn.model.estimate import rounded
+from taciturn.model.estimate import Estimate, rounded
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result
+from taciturn.model.result import VERDICT, Field, Result
+from taciturn.model.rule import Rule, choice_of
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Changes, Exosystem
-from taciturn.model.steps import Assign, Evaluate
+from taciturn.model.steps import Assign, Decide, Evaluate
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+from taciturn.model.words import Words
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.program.node import steps_of_a_fault
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
-from taciturn.study.evaluation import Unit, cost_unit, proof_text, time_unit
+from taciturn.study.evaluation import Unit, cost_unit, time_unit
+from taciturn.study.sentences import THAN, percent_above, proof_text
 
-SHOWN_OPTIONS = 4  # options of a decision that are printed
 ESTIMATES = ("estimate", "deviation")  # signals that a feedback gain multiplies: the state estimate, or its deviation
 GAINS = {
     "L": ("feedback gain", "input = + L × estimate; L:"),
@@ -121,7 +125,7 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     lines += [(name, text) for name in ("input limit", "input rate") if isinstance(text := rows[name], str)]
     if (e := plant.exosystem) is not None:
         moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
-        q = f"{len(e.S)} state{'s' * (len(e.S) > 1)} d"
+        q = f"{number_of(len(e.S), 'state')} d"
         z = "C_z x" if e.D is None else "C_z x + D_z u"
         goal = f"and set-points, {q}: {moves}; {z} + F d is to be zero" if len(e.S) else f"none; {z} is to be zero"
         lines.append(("disturbances", goal))
@@ -131,31 +135,8 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     return lines
 
 
-def _form_lines(name: str, form: Form) -> Lines:
-    """Return the printed lines of a quadratic form."""
-    terms: list[str] = []
-    if form.Psi is not None:
-        terms.append(f"η'Ψη, η = [{'; '.join(form.signals)}]")
-    if form.bell is not None:
-        terms.append(f"{form.bell.height:.6g} exp(−½ η'Πη)")
-    terms += [f"{weight:g} {signal}" for signal, weight in form.plus.items()]
-    constant = form.constant
-    if isinstance(constant, Scheduled) and len(constant.values) == 1:
-        constant = float(constant.values[0])
-    if isinstance(constant, Scheduled):
-        terms.append(f"a constant indexed by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}")
-    elif constant or not terms:
-        terms.append(f"{constant:.6g}")
-    lines: Lines = [(name, " + ".join(terms))]
-    if form.Psi is not None:
-        lines += matrix_lines("    Ψ", form.Psi)
-    if form.bell is not None:
-        lines += matrix_lines("    Π", form.bell.Pi)
-    return lines
-
-
 def _pids(kept: object) -> list[dict[str, Any]]:
-    """Return what PID controllers state, other than the default values and the disturbance, of which a note speaks."""
+    """Return the values of PID controllers that differ from the defaults; a note states the disturbance."""
     return [
         {
             one.name: value
@@ -269,18 +250,24 @@ def _guarantee_lines(of: Description) -> Lines:
 
 
 def _decision_lines(found: Description) -> Lines:
+    """Return when nodes take decisions that send no packet and that no rule of a link contains."""
+    policy = found.policy
+    if not isinstance(policy, Policy):
+        return []
+    links, words = policy.diagram().links, Words(policy)
+    told = {link.decision for link in links}.union(*(link.rule.follows for link in links))
     lines: Lines = []
-    for name, trigger in found.decisions.items():
-        rule = "the option with the least value; in a tie, the first"
-        if trigger.limit is not None:
-            rule = f"the first option whose value is at most {trigger.limit:.6g}; the last if there is none"
-        lines.append((f"decision {name}", rule))
-        for label, form in list(trigger.options.items())[:SHOWN_OPTIONS]:
-            lines += _form_lines(f"  {label}", form)
-        left = len(trigger.options) - SHOWN_OPTIONS
-        lines += [("", f"and {left} more, which --json lists")] if left > 0 else []
-        lines += [line for label, form in found.compared(trigger).items() for line in _form_lines(label, form)]
+    for step in policy.steps:
+        if isinstance(step, Decide) and step.decision not in told:
+            rule = choice_of(policy, step)
+            lines += [(f"decision, {words.plain(step.decision)}", rule.when), *_rule_lines(rule)]
     return lines
+
+
+def _rule_lines(rule: Rule) -> Lines:
+    """Return the meaning of the symbols of a rule, and its matrices."""
+    matrices = [line for letter, value in rule.matrices.items() for line in matrix_lines(f"    {letter}", value)]
+    return [*(("", told) for told in rule.explained), *matrices]
 
 
 def _network_document(network: Network) -> dict[str, Any]:
@@ -300,10 +287,16 @@ def _network_lines(found: Description) -> Lines:
     if nodes is not None and problem.network.own_nodes:
         sizes = nodes.model.outputs, nodes.model.inputs
         lines += [(f"node, {name}", role.text(*sizes)) for name, role in problem.network.nodes.items()]
+    if isinstance(found.policy, PolicyWithoutSteps) and drawn is None:
+        lines.append(("sends", found.policy.sends_when))
+    told = set[str]()
     for link in () if drawn is None else drawn.links:
-        told = ", acknowledged" if link.acknowledged else ""
+        known = "; acknowledged" if link.acknowledged else ""
         law = problem.network.links[link.name].spending()
-        lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}{law}"))
+        lines.append((f"link, {link.name}", f"{'; '.join((link.packet, *link.notes))}{known}{law}"))
+        if link.decision is None or link.decision not in told:  # links that are decided together have one rule
+            lines += _rule_lines(link.rule)
+        told |= set() if link.decision is None else {link.decision}
     return lines
 
 
@@ -313,7 +306,7 @@ def _fault(found: Description) -> str:
     if not isinstance(policy, Policy) or policy.theory.settling == 0:
         return ""
     steps, period = steps_of_a_fault(policy), policy.model.dt
-    lasting = f"{steps} steps" if period is None else f"{steps} steps ({period * steps:.3g} s)"
+    lasting = number_of(steps, "step") + ("" if period is None else f" ({period * steps:.3g} s)")
     return f"a node is degraded for {lasting}, seven time constants"
 
 
@@ -325,11 +318,32 @@ def _controller_document(found: Description) -> dict[str, Any] | None:
     return {**matrices, "setpoint": controller.setpoint, "pid": _pids(found.problem.controller)}
 
 
+def _verdict(found: Description) -> str:
+    """Return the policy, the links on which it decides, and the proven increase over the cost of every sample."""
+    policy, links = found.policy, () if found.nodes is None else found.nodes.scheduled
+    where = f" on the link{'s' * (len(links) > 1)} {', '.join(links)}" if links else ""
+    exact = policy.theory.closed_form if isinstance(policy, Policy) else None
+    base, guarantee = policy.cost_all_time, found.guarantee
+    if found.violated_assumptions:
+        proven = f"no guarantee, since {'; '.join(found.violated_assumptions)}"
+    elif exact is not None:
+        proven = f"exact cost, {exact.cost:.6g} {per_unit(found.unit)}"
+    elif guarantee is None:
+        proven = "no guarantee"
+    elif base > 0:
+        above = percent_above(Estimate(guarantee["cost"], 0.0, "bound"), base, 1, signed=False)
+        proven = f"at most {above} more cost{THAN}, proven"
+    else:
+        proven = f"at most {rounded(guarantee['cost'], 6, 1)} {per_unit(found.unit)}, proven"
+    return f"{found.problem.kind}{where}: {proven}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Description(Result):
-    """Properties of a problem's policy that are known without a simulation."""
+    """A problem and its policy, described by all that is known without a simulation, such as gains and guarantee."""
 
     FIELDS: ClassVar[tuple[Field[Description], ...]] = (
+        VERDICT,
         Field("policy", "problem.kind", say="policy", text=_policy),
         Field("parameters", "problem.parameters", json=_plain),
         Field("unit"),
@@ -357,18 +371,26 @@ class Description(Result):
     remarks: tuple[str, ...] = ()  # what the cost counts, if it is not the integral of the stage cost
 
     @property
+    def verdict(self) -> tuple[str, ...]:
+        """The policy, its links, and the proven bound on its cost, in words."""
+        return (_verdict(self),)
+
+    @property
     def unit(self) -> Unit:
-        """Unit that the cost refers to."""
+        """Unit of the cost as text, such as per step or per second."""
         return cost_unit(self.problem)
 
     @property
     def diagram(self) -> Diagram | None:
-        """Diagram of the nodes and links, or None if the policy has no sampling steps."""
-        return None if self.nodes is None else self.nodes.diagram()
+        """Diagram of the nodes and links; None if the policy sends at any time, not only at sampling instants."""
+        if self.nodes is None or not isinstance(self.policy, PolicyWithoutSteps):
+            return None if self.nodes is None else self.nodes.diagram()
+        drawn, rule = self.nodes.diagram(), Rule(self.policy.sends_when)  # its nodes have another trigger
+        return replace(drawn, links=tuple(replace(link, rule=rule) for link in drawn.links))
 
     @property
     def controller(self) -> Controller | None:
-        """The given controller in the steps of the policy, or None."""
+        """The user's controller, discretised for the steps of the policy; None if the design computes the gains."""
         if self.problem.controller is None or self.nodes is None:
             return None
         plant = self.nodes.model
@@ -376,17 +398,17 @@ class Description(Result):
 
     @property
     def gains(self) -> dict[str, Matrix]:
-        """Feedback gain L and estimator gain, if the policy has them."""
+        """Feedback gain L and gain of the estimator, by name, if the policy has them."""
         return {} if self.nodes is None else _gains(self.nodes)
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:
-        """The decisions of the policy by name."""
+        """The decisions of the policy, by name, each with its trigger."""
         return self.policy.decisions if isinstance(self.policy, Policy) else {}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Warnings and remarks."""
+        """Warnings, remarks, and reasons why no guarantee holds, as texts."""
         return (
             self.policy.notes
             + self.remarks
@@ -395,7 +417,7 @@ class Description(Result):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """The proven guarantee, and whether it holds for this loop."""
+        """Proven bound on the cost, and whether it holds for this loop; None if the policy has no bound."""
         policy, holds = self.policy, not self.violated_assumptions
         if isinstance(policy, PolicyWithoutSteps):
             bound = policy.bound()
@@ -413,11 +435,11 @@ class Description(Result):
 
     @property
     def computed(self) -> dict[str, Form]:
-        """The quadratic forms of the signals that the decisions compare, by name."""
+        """Quadratic forms of all signals that decisions compare, by the signal's name."""
         return {name: form for trigger in self.decisions.values() for name, form in self.compared(trigger).items()}
 
     def compared(self, trigger: Trigger) -> dict[str, Form]:
-        """Return the forms of the signals that a decision compares, also of signals that pass them on."""
+        """Return the quadratic forms of all signals that a trigger compares, directly or through other signals."""
         steps = self.policy.steps if isinstance(self.policy, Policy) else ()
         forms = {step.signal: step.forms[0] for step in steps if isinstance(step, Evaluate)}
         waiting, found = [name for form in trigger.options.values() for name in form.plus], dict[str, Form]()
@@ -430,7 +452,7 @@ class Description(Result):
 
 
 def describe(problem: Studied) -> Description:
-    """Design a problem's policy and describe it, without a simulation."""
+    """Design the policy of a problem, and describe problem and policy without a simulation."""
     problem = as_problem("problem", problem)
     policy = problem.designed()
     nodes = nodes_of(policy)

@@ -1,4 +1,4 @@
-"""Evaluation of one problem: cost, rates and bounds of its policy.
+"""Evaluation of one problem: the cost, the send rates and the cost bounds of its policy.
 
 ``measure`` computes cost and rates: in closed form, by a quadrature of renewal equations, by conditional sampling or by
 simulation, whichever is predicted to need the least work. At the measured rate r, the cost is then compared with
@@ -25,6 +25,7 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from math import sqrt
 from typing import Literal, cast, get_args
 
 from taciturn._arrays import number
@@ -41,26 +42,25 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.theory import LEVEL, Linearisation, LowerBound
+from taciturn.model.silence import certificate_of
+from taciturn.model.theory import LEVEL, Guarantee, Linearisation, LowerBound
 from taciturn.problem import Problem
 from taciturn.problem.without_file import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
-from taciturn.study.evaluation import (
+from taciturn.simulation.sampling import Averages
+from taciturn.study.evaluation import Consistency, Evaluation, TimeUnit, cost_unit, rate_unit
+from taciturn.study.further_loops import (
     AsWritten,
-    Consistency,
-    Evaluation,
-    TimeUnit,
     averages_after_step,
     averages_on,
     compare_without_limits,
-    cost_unit,
     precisely,
-    rate_unit,
 )
 from taciturn.study.measure import CONDITIONAL, Request, measure
 from taciturn.study.periodic import ClockMix, periodic_at
+from taciturn.study.sentences import WITHDRAWN
 
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
@@ -87,7 +87,7 @@ def evaluate(
     after_step: bool = True,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Return cost, rates and bounds of a problem's policy.
+    """Evaluate a problem: compute the cost, the send rates and the cost bounds of its policy.
 
     If the policy ignores the state, its cost has a closed form. Otherwise the work of every applicable method is
     predicted for the requested error, and the method with the least work is chosen. Quadrature of renewal equations and
@@ -106,17 +106,17 @@ def evaluate(
             ``"simulation"`` use only the named method.
         precision: floating-point precision of a simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as
             fast.
-        confidence: confidence of a lower bound on the cost of any scheduling at this rate (see ``bound_below``). If it
+        confidence: confidence of a lower bound on the cost of all schedules with this rate (see ``bound_below``). If it
             is omitted, neither this bound nor ``rate_bounds`` is computed, since both take seconds.
-        time_limit: time limit in seconds, with the design of the policy; default: none. When most of it has passed,
-            the best cost so far is taken, with its actual error and ``reached`` False. Other parts of the
-            answer, such as periodic control and a lower bound, are omitted with a note if the rest is too short.
+        time_limit: time limit in seconds, with the design of the policy; default: none. When most of it has passed, the
+            best cost so far is returned, with its actual error and ``reached`` False. Other parts of the answer, such
+            as periodic control and a lower bound, are omitted with a note if the remaining time is too short.
         after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one.
         progress: callback that receives the fraction done.
 
     If the problem states limits of the states, the probabilities of their violation are simulated, whatever the method,
-    up to a relative standard error of 5 %; ``steps`` limits the steps of this simulation. A note tells why there are
-    none.
+    up to a relative standard error of 5 %; ``steps`` limits the steps of this simulation. If they cannot be simulated,
+    a note gives the reason.
 
     Returns:
         The evaluation, with rates per second for a continuous plant. ``reached`` is False if the budget was used up
@@ -135,9 +135,14 @@ def evaluate(
     problem = as_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in METHODS:
-        raise ProblemError(f"method is {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}")
+        raise ProblemError(
+            f"method is {method!r}; expected one of the methods {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}"
+        )
     if method == CONDITIONAL and steps is not None:
-        raise ProblemError(f"method is {method!r} and steps is {steps}; expected 'auto' or 'simulation', or no steps")
+        raise ProblemError(
+            f"method is {method!r} and steps is {steps}; expected method 'auto' or 'simulation' with a number of "
+            "steps, or no steps"
+        )
     if confidence is not None:
         number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
@@ -170,7 +175,9 @@ def _evaluated(
         if confidence is not None:
             expect_bound(problem)
         if precision != "float64":
-            raise ProblemError(f"precision is {precision!r}; expected 'float64' for {policy.kind} without a period")
+            raise ProblemError(
+                f"precision is {precision!r}; expected 'float64' for the policy {policy.kind} without a period"
+            )
         return _evaluated_without_steps(problem, policy, request, told)
     share = AFTER_STEP if after_step and isinstance(policy, Policy) and policy.disturbance is not None else 0.0
     spare = LIMITED if (problem.actual or problem.plant).saturation is not None else 0.0
@@ -234,8 +241,11 @@ def _evaluated(
         consistency=_consistency(found.cost, fair, guarantee is not None) if compared else None,
         notes=(
             *dict.fromkeys((*loop.problem.remarks, *notes)),
-            *(f"{text}: no guarantee holds" for text in loop.violated_assumptions),
+            *(f"{text}{WITHDRAWN}" for text in loop.violated_assumptions),
         ),
+        withdrawn=loop.violated_assumptions,
+        doubts=tuple(note for note in found.notes if note not in loop.problem.remarks),
+        by_default=_added_by_default(problem, policy) is not None,
         linearisation=promised,
         estimator=found.estimator,
         settled=found.settled,
@@ -247,8 +257,29 @@ def _evaluated(
         without_limits=without,
         cost_lqg=policy.theory.cost_lqg if loop.nominal else None,
         proved=guarantee is not None and guarantee.proved,
+        silence={" and ".join(links): one for links, one in found.silence.items()} if loop.nominal else {},
+        certificate=_certificate(loop, found),
+        guarantee_shares={} if guarantee is None else _guarantee_shares(loop, guarantee, found),
         cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
     )
+
+
+def _certificate(loop: Loop, found: Averages) -> Estimate | None:
+    """Return the bound that the nodes measure themselves, or None."""
+    if not found.silence or not loop.nominal:
+        return None
+    factors = {links: one.factor**2 for links, one in loop.policy.theory.silence.items()}
+    silence = [one.scaled(factors[links]) for links, one in found.silence.items()]
+    return certificate_of(loop.policy.cost_all_time, loop.problem.per_unit(0.0), silence)
+
+
+def _guarantee_shares(loop: Loop, guarantee: Guarantee, found: Averages) -> dict[str, float]:
+    """Return the share of each node in the sum of the roots of the allowed or actual costs of silence, by its links."""
+    factors = {links: one.factor**2 for links, one in loop.policy.theory.silence.items()}
+    added = guarantee.deciders or {links: factors[links] * one.value for links, one in found.silence.items()}
+    roots = {" and ".join(links): sqrt(max(one, 0.0)) for links, one in added.items()}
+    total = sum(roots.values())
+    return {links: root / total for links, root in roots.items()} if total > 0 and len(roots) > 1 else {}
 
 
 def _evaluated_without_steps(
@@ -298,7 +329,7 @@ def _part(name: str, notes: list[str], *refused: type[TaciturnError]) -> Generat
 
 
 def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
-    """Return a note on simulation options that were given although another method gave the answer."""
+    """Write a note if the user has set options of a simulation, but no simulation computed the answer."""
     given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
     if not given or method == "simulation":
         return ()
@@ -306,7 +337,7 @@ def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
 
 
 def forgotten_start(problem: Problem) -> tuple[str, ...]:
-    """Return a note if an initial state is given, which no average cost depends on."""
+    """Write a note if the user has given an initial state, which does not affect an average cost."""
     plant = problem.plant if problem.actual is None else problem.actual
     given = [name for name, value in (("mean", plant.mean), ("covariance", plant.covariance)) if value.any()]
     if not given or problem.cost.horizon is not None or problem.cost.discount < 1:
@@ -315,7 +346,7 @@ def forgotten_start(problem: Problem) -> tuple[str, ...]:
 
 
 def choose_confidence(problem: Problem, asked: float | None) -> float | None:
-    """Return the confidence of a lower bound: as requested, or the default if a bound exists; None: no bound."""
+    """Return the confidence level of a lower bound: the user's or the default; None if there is no bound to compute."""
     if asked is not None:
         return asked or None
     try:
@@ -326,13 +357,13 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
 
 
 def expect_bound(problem: Problem) -> None:
-    """Reject a problem without a lower bound on the cost of any scheduling."""
+    """Raise an error if no lower bound on the cost of all schedules can be computed for the problem."""
     policy = problem.designed()
     nodes = nodes_of(policy)
     if nodes is None:
         raise ProblemError(
-            f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
-            "confidence level"
+            f"a confidence level requests a lower bound, but none is available for the policy {policy.kind} without a "
+            "period; expected no confidence level"
         )
     resets(problem.close(nodes))
 
@@ -350,7 +381,7 @@ def _lower_bound(loop: Loop, rate: Estimate, confidence: float, seed: int, progr
 
 
 def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
-    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds."""
+    """Write a warning if a simulated rate is three or more standard errors outside its certified bounds."""
     nearest = min(max(rate.value, certified[0]), certified[1])
     gap, error = abs(rate.value - nearest), rate.standard_error
     if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
@@ -368,13 +399,14 @@ def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit)
 def with_violations(
     problem: Problem, limits: Limits, request: Request, found: Evaluation, progress: Progress
 ) -> Evaluation:
-    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not."""
+    """Add the probabilities that limits of states are violated, or a note on why they are missing."""
     policy, notes = problem.designed(), list(found.notes)
     with _part("probability of violation", notes, TaciturnError):
         if not isinstance(policy, Policy):
             raise ProblemError(
-                f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
-                "period, such as near-optimal"
+                f"state limits are given, but the policy {policy.kind} works in continuous time without sampling "
+                "steps, so violations cannot be simulated; expected a policy with a sampling period, such as "
+                "near-optimal"
             )
         violations = load_plugin("taciturn.violations", "limits", "a probability of violation")
         seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
@@ -383,7 +415,9 @@ def with_violations(
 
 
 def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
-    """Return an evaluation with the loop on the plant as written, if a default has added something to the plant."""
+    """Add results for the plant as the user wrote it, if Taciturn has added a slow disturbance to the plant by
+    default.
+    """
     if problem.controller is None:  # defaults add to the plants of given controllers only
         return found
     notes = list(found.notes)
@@ -392,16 +426,21 @@ def with_written(problem: Problem, request: Request, found: Evaluation, progress
     return replace(found, notes=tuple(notes))
 
 
+def _added_by_default(problem: Problem, policy: object) -> Disturbance | None:
+    """Return the disturbance that a default has added to the plant of a given controller; None if there is none."""
+    kept = problem.controller
+    if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
+        return None
+    listed = kept.loops if isinstance(kept, PIDLoops) else (kept,)
+    return None if any(one.disturbance is not None for one in listed) else policy.disturbance
+
+
 def _plant_as_written(
     problem: Problem, policy: object, request: Request, progress: Progress | None = None
 ) -> AsWritten | None:
     """Return cost and rates of a policy on the plant as written, or None if no default has added anything."""
-    kept = problem.controller
-    if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
-        return None
-    added = policy.disturbance
-    listed = kept.loops if isinstance(kept, PIDLoops) else (kept,)
-    if added is None or any(one.disturbance is not None for one in listed):
+    kept, added = problem.controller, _added_by_default(problem, policy)
+    if kept is None or added is None or not isinstance(policy, Policy):
         return None
     plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
     plant = plain.added_to(problem.actual or problem.plant)

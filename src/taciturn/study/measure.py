@@ -1,4 +1,4 @@
-"""Cost and rates of one loop, by the method that is predicted to reach the requested error with the least work.
+"""Cost and rates of one loop, computed by the method that needs the least work for the requested accuracy.
 
 The methods are a closed form, which needs no time, quadrature of the renewal equations, conditional sampling of the
 intervals between sends, and simulation. Each is a ``Candidate`` with a lower bound on its work, which is known before
@@ -35,7 +35,7 @@ SHARE = 0.5  # share of the time limit for a method that has no answer before it
 
 @dataclass(frozen=True, repr=False)
 class Candidate(Displayed):
-    """A method that computes cost and rates, with its predicted work, counted in operations."""
+    """A method that can compute cost and rates, and the number of operations that it is predicted to need."""
 
     name: str  # name of the method
     least: float  # lower bound on the work, known in advance
@@ -46,7 +46,7 @@ class Candidate(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Request(Displayed):
-    """Requested accuracy of a measurement, and its budget."""
+    """The accuracy that the user requests for cost and rates, and the method and seed."""
 
     seed: int  # seed of the random draws
     standard_error: float | None  # absolute standard error of the cost; None for 1e-4 of the cost
@@ -56,7 +56,7 @@ class Request(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Measured(Displayed):
-    """Cost and rates of a loop, as computed by one method."""
+    """Cost and send rates of a loop, and the method that has computed them."""
 
     averages: Averages  # cost and rates
     method: str  # ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or ``"simulation"``
@@ -65,7 +65,7 @@ class Measured(Displayed):
 
 
 def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rates, in closed form or by the method with the shortest predicted computing time."""
+    """Compute cost and rates: in closed form if there is one, or by the method with the least predicted work."""
     policy, method = loop.policy, request.method
     if method in ("auto", "exact") and loop.nominal and policy.theory.closed_form is not None:
         form = policy.theory.closed_form
@@ -112,7 +112,7 @@ def _measured(loop: Loop, found: Averages, method: str, reason: str, refused: No
 
 
 def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
-    """Return the candidates ordered by their predicted work, least first, and a sentence with the predictions.
+    """Sort methods by their predicted work, least first, and write the predictions as a sentence.
 
     A candidate whose least work exceeds the work of another candidate is not predicted more closely. A method that has
     begun counts only its remaining work. A candidate comes last if it has no preliminary answer and is predicted to
@@ -141,7 +141,7 @@ def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
 def candidates_of(
     loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
-    """Return the requested methods that apply to a loop, and the reason if a requested method does not apply."""
+    """List those of the requested methods that apply to a loop, and the reason if quadrature does not."""
     found, refused = list[Candidate](), None
     if request.method == "exact" or (request.method == "auto" and request.steps is None):
         try:
@@ -230,7 +230,7 @@ def _asked(loop: Loop, standard_error: float | None) -> float:
 
 
 def wanted_error(cost: Estimate, standard_error: float | None) -> float:
-    """Return the requested error of a cost."""
+    """Return the standard error that is requested for a cost: the user's, or a default fraction of the cost."""
     return USUAL_RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
 
@@ -239,7 +239,7 @@ def _off(found: Averages) -> float:
 
 
 def clipped_accuracy(accuracy: float) -> float:
-    """Return an accuracy within the range of a quadrature."""
+    """Limit a requested accuracy to the range that quadratures can achieve."""
     return min(max(accuracy, FINEST), COARSEST)
 
 

@@ -1,4 +1,4 @@
-"""Fair periodic control: time-triggered, with the measurements, the actuator and the rate of a policy.
+"""Fair periodic control: it has the measurements, the actuator and the send rate of a policy, but a fixed timetable.
 
 An event-triggered policy measures at every step. Periodic control that measures only when it sends has less
 information. Fair periodic control measures at every step too, holds or predicts its input as the policy does, and has
@@ -12,8 +12,9 @@ interval with up to three short ones.
 
 ``Clock`` is the least cost as a function of the rate: ``Ticked`` at sampling instants, ``Timed`` at any period,
 ``Either`` for the cheaper of both. ``fair_clock`` chooses for a policy: by the actuation that its steps show, by the
-exact cost that a given controller states for periodic sends, or for queries of a sensor. Where no fair control exists
-or can be computed, such as for lossy links, ``NoClockError`` gives the reason.
+exact cost that a given controller states for periodic sends or has with a timetable (``timed_links``), or for queries
+of a sensor. Where no fair control exists or can be computed, such as for lossy links, ``NoClockError`` gives the
+reason.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, check_time, late_text
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
-from taciturn.design.at_fixed_steps import predicted_cost
+from taciturn.design.at_fixed_steps import waiting_cost
 from taciturn.design.kind import AnyPolicy, usual_nodes
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
 from taciturn.loop import close
 from taciturn.lqg.cache import remembered
-from taciturn.lqg.discrete import discretise
+from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.periodic import Held, cycles, lift
+from taciturn.lqg.periodic import Held, Timing, cycles, lift
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
@@ -48,6 +49,7 @@ from taciturn.model.result import Field, Result, plain_fields
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import nodes_of
+from taciturn.study.timed_links import TimedLinks, modes_of
 
 SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one
@@ -64,6 +66,7 @@ Cycle: TypeAlias = tuple[int, ...]
 ClockKind: TypeAlias = Literal["hold", "model", "zero", "queries"]
 Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
 ALIKE = 1e-6  # relative
+UNSTABLE = "periodic control is unstable, or does not follow the disturbances, with all periods that were tried"
 OF_A_DESIGN = "the cost of periodic control is computed for the loop of a design, and here"  # the difference
 NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
 WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
@@ -71,7 +74,7 @@ WORK = 3e7  # cycles, times the cube of the size of the problem that one of them
 
 @dataclass(frozen=True, repr=False)
 class ClockPoint(Displayed):
-    """The rate and the exact cost of periodic control with one cycle of send intervals.
+    """Send rate and exact cost of periodic control with one cycle of send intervals.
 
     Args:
         rate: sends per step or per second.
@@ -86,7 +89,8 @@ class ClockPoint(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class ClockMix(Result):
-    """Periodic control at a rate: one cycle of send intervals, or two cycles that alternate in long phases.
+    """Periodic control with a given send rate: one cycle of send intervals, or two cycles that alternate for long
+    times.
 
     Args:
         cost: exact cost.
@@ -111,16 +115,16 @@ class ClockMix(Result):
 
     @property
     def rate(self) -> float:
-        """Its sends per step or per second: less than the requested rate if a lower one costs no more."""
+        """Sends per step or per second. It is below the requested rate if fewer sends cost no more."""
         return sum(share * point.rate for share, point in zip(self.shares, self.points, strict=True))
 
 
 class NoClockError(Exception):
-    """Error that states why a policy has no fair periodic control to compare with."""
+    """Raised if there is no fair periodic control to compare a policy with. The message states the reason."""
 
 
 def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[ClockMix | None, str]:
-    """Return fair periodic control for a policy at a measured rate, or the reason why there is none."""
+    """Compute fair periodic control with the measured rate of a policy, or the reason why there is none."""
     if rate.value == 0:
         return None, "the policy sent nothing"
     try:
@@ -130,15 +134,12 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
     except OutOfTime:
         return None, late_text()
     if found is None:
-        return (
-            None,
-            "periodic control is unstable, or does not follow the disturbances, with all periods that were tried",
-        )
+        return None, UNSTABLE
     return found, ""
 
 
 def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
-    """Return fair periodic control for a policy, or None if ``fair_clock`` gives a reason why there is none."""
+    """Prepare fair periodic control for a policy; return None if it does not exist."""
     try:
         return fair_clock(problem, policy)
     except NoClockError:
@@ -146,7 +147,7 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
 
 
 def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
-    """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains."""
+    """Prepare fair periodic control for a policy: with its measurements and actuator, and with optimal gains."""
     nodes = nodes_of(policy)
     if nodes is None or nodes.prediction is not None:
         return sampling_clock(problem, "model")
@@ -162,16 +163,18 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         )
     if len(nodes.scheduled) > 1:
         raise NoClockError(
-            f"the policy decides on {len(nodes.scheduled)} links, and a single rate does not determine the rate of "
-            "each link"
+            f"the policy makes send decisions on {len(nodes.scheduled)} links, and a single rate does not determine "
+            "the rate of each link"
         )
     if nodes.theory.periodic is not None and problem.controller is not None:
         loop = problem.close(nodes)
         if not loop.nominal:
             raise NoClockError(f"{OF_A_DESIGN} {loop.violated_assumptions[0]}")
-        silent, given, cost_of = _silent_input(nodes).get("input"), loop.problem, nodes.theory.periodic
+        silent = _silent_input(nodes).get("input")
         zero = isinstance(silent, np.ndarray) and not silent.any()
-        return Ticked("zero" if zero else actuation_of(nodes), given.tick, lambda one: given.per_unit(cost_of(*one)))
+        return _given("zero" if zero else actuation_of(nodes), nodes.theory.periodic, loop.problem)
+    if problem.controller is not None:
+        return _same_control(problem, nodes)
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         every = all_time(problem.plant, problem.cost, period=period)
@@ -182,24 +185,26 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     if differences:
         raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
     if nodes.targets:
-        raise NoClockError("the policy follows a stored reference")
+        raise NoClockError("the policy follows a stored reference, for which periodic control is not computed")
     if certainty.timed:
         raise NoClockError(
-            "the set-points change at known times, and the cost of periodic control is computed for other changes only"
+            "the set-points change at known times, and the cost of periodic control is computed only if they are "
+            "constant or change at random times"
         )
     least = certainty.problem.per_unit(certainty.cost_all_time)
     if nodes.theory.periodic is None and abs(least - nodes.cost_all_time) > ALIKE * abs(least):
         if problem.own is None:
-            raise NoClockError("the policy uses its measurements later than periodic control would")
+            raise NoClockError("the policy uses its measurements later than periodic control would use them")
         more = nodes.cost_all_time / least
         raise NoClockError(
-            f"with every sample the policy costs {more:.4g} times as much as LQG, which periodic control uses"
+            f"if it sends every sample, the policy costs {more:.4g} times as much as LQG, which periodic control uses"
         )
     actuation, p = actuation_of(nodes), certainty.problem
     if any(nodes.network.nodes[link].measures for link in nodes.scheduled) and actuation == "hold":
         return _asking(certainty)
     if actuation == "model":  # cycles of several intervals are no better than the chord between single ones
-        ticked = Ticked("model", p.tick, lambda cycle: p.per_unit(predicted_cost(certainty, cycle)))
+        given = p.plant.A, p.plant.B, certainty.square, certainty.corrections
+        ticked = _predicting(*given, certainty.cost_all_time, p.noise_cost * p.ticks, p.unit, p.tick)
     else:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
         ticked = _holding(*given, certainty.estimation_cost, p.noise_cost, p.tick)
@@ -215,8 +220,22 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     return Either(ticked, Timed(actuation, spaced), p.tick, near)
 
 
+def _same_control(problem: Problem, policy: Policy) -> Clock:
+    """Return the given controller with periodic packets on its only link, and with what the policy does in silence."""
+    if differences := problem.close(policy).violated_assumptions:
+        raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
+    (link,), timed = policy.scheduled, TimedLinks.of(problem, policy)
+    return Ticked(
+        "model" if "model" in modes_of(problem) else "hold",
+        policy.tick,
+        lambda cycle: timed.cost({link: Timing(*cycle)}),
+    )
+
+
 def actuation_of(policy: Policy) -> Actuation:
-    """Return ``"hold"`` if the receiver of a policy holds its last value between sends, ``"model"`` if it predicts."""
+    """Return how the receiver of a link behaves between packets: ``"hold"`` if it holds a value, ``"model"`` if it
+    predicts.
+    """
     sends, nodes = (step for step in policy.steps if isinstance(step, Send)), policy.network.nodes
     packet = next((step.payload for step in sends if nodes[step.link].measures), None)
     if packet is not None:
@@ -232,7 +251,7 @@ def _silent_input(policy: Policy) -> Terms:
 
 
 def sampling_clock(problem: Problem, actuation: Actuation = "hold") -> Timed:
-    """Return periodic control of a continuous plant that measures only when it sends.
+    """Prepare periodic control of a continuous-time plant that measures only when it sends.
 
     For an exact measurement of the full state, this control is fair periodic control. Otherwise it is weaker; the
     thesis uses it for comparison.
@@ -267,6 +286,25 @@ def _holding(
     )
 
 
+@remembered
+def _predicting(
+    A: Array, B: Array, square: Array, corrections: Array, every: float, noise_cost: float, unit: float, tick: float
+) -> Ticked:
+    """Return periodic control of an actuator that predicts the state; points of one plant and cost share results."""
+    # every: cost per step of sending every sample, to which the noise between the samples adds noise_cost
+
+    def cost(cycle: Cycle) -> float:
+        return (every + waiting_cost(A, B, square, corrections, cycle) + noise_cost) / unit
+
+    return Ticked("model", tick, cost)
+
+
+@remembered
+def _given(words: ClockKind, cost_of: Callable[..., float], problem: Discrete) -> Ticked:
+    """Return periodic control of a given controller; points of one loop share its results."""
+    return Ticked(words, problem.tick, lambda cycle: problem.per_unit(cost_of(*cycle)))
+
+
 def _asking(certainty: CertaintyEquivalentDesign) -> Clock:
     """Return periodic control of a sensor whose measurements reach a controller at the actuator."""
     problem, plant = certainty.problem, certainty.problem.plant
@@ -283,20 +321,20 @@ def _asking(certainty: CertaintyEquivalentDesign) -> Clock:
 
 
 class Clock(ABC):
-    """The least cost of periodic control as a function of its rate, for one kind of actuation."""
+    """Least cost of periodic control as a function of the send rate, for one way to actuate between sends."""
 
     words: ClockKind
 
     @abstractmethod
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two cycles that share the time: one with at most this rate, and one with at least this rate."""
+        """Return the two cycles that alternate: one with a rate of at most ``rate``, the other of at least ``rate``."""
 
     @abstractmethod
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the points of the cost curve between two rates; straight lines connect them."""
+        """Return points of the cost curve between two rates. Straight lines connect them."""
 
     def at(self, rate: float, error: float = 0.0) -> ClockMix | None:
-        """Return the cheapest periodic control at a rate, or None if no stable one was found."""
+        """Return the cheapest periodic control with a send rate; None if no stable one was found."""
         found = self.around(rate) if rate > 0 else None
         if found is None:
             return None
@@ -320,14 +358,14 @@ class Clock(ABC):
 
 
 class Timed(Clock):
-    """Periodic control that measures only when it sends, at any period in seconds."""
+    """Periodic control that measures only when it sends. Its period may be any number of seconds."""
 
     def __init__(self, words: ClockKind, cost_of: Callable[[float], float | None]) -> None:
         """Compute nothing yet."""
         self.words, self._cost_of = words, cost_of
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the point of the period with this rate twice, because a single period suffices for any rate."""
+        """Return the point with this rate twice: a single period achieves any rate, so that no cycles alternate."""
         cost = self._timed_cost(rate)
         point = None if cost is None else ClockPoint(rate, cost)
         return None if point is None else (point, point)
@@ -336,14 +374,16 @@ class Timed(Clock):
         return self._cost_of(1 / rate)
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return rate and cost of stable loops for several periods between those of two rates."""
+        """Compute rate and cost for several periods between ``1/fastest`` and ``1/slowest``. Unstable loops are
+        omitted.
+        """
         periods = np.geomspace(1 / fastest, 1.05 * max(1 / slowest, 1 / fastest), CURVE_POINTS).tolist()
         found = [(1 / period, self._cost_of(period)) for period in periods]
         return tuple(ClockPoint(rate, cost) for rate, cost in found if cost is not None)
 
 
 class Ticked(Clock):
-    """Periodic control that sends at sampling instants: the best of several cycles of send intervals."""
+    """Periodic control that sends at sampling instants, with the best of many cycles of send intervals."""
 
     def __init__(
         self,
@@ -361,7 +401,7 @@ class Ticked(Clock):
         self._tried: dict[tuple[int, int, int], list[Cycle]] = {}
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the convex lower hull of the costs that are next to a rate."""
+        """Return the corners of the lower convex hull on either side of a rate."""
         ticks = max(1.0, 1 / (rate * self._tick))
         nearest = int(ticks * (1 + SAME))
         lengths = max(1, nearest // 2), 2 * nearest + REACH, nearest
@@ -369,7 +409,9 @@ class Ticked(Clock):
         return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the lower hull that enclose a cost, larger cost first, or None."""
+        """Return the corners of the lower convex hull on either side of a cost, the larger cost first; None without
+        such.
+        """
         last = REACH
         while last <= LONGEST:
             corners = self._exact((1, last, last // 2), lambda corners: corners)
@@ -381,7 +423,7 @@ class Ticked(Clock):
         return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the lower hull between two rates and the next lower corner, the highest rate first."""
+        """Return the corners of the lower convex hull between two rates, and the next slower corner, fastest first."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
         corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)
@@ -457,7 +499,7 @@ class Ticked(Clock):
 
 
 class Either(Clock):
-    """Periodic control that sends at sampling instants or at any period, whichever costs less, or a mix of both.
+    """Periodic control that sends at sampling instants, or with any period, or alternates between both.
 
     A period of 1.5 steps, for example, reaches a rate that needs two cycles at sampling instants.
     """
@@ -468,13 +510,13 @@ class Either(Clock):
         self._slowest = 1 / (longest * tick)
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the convex lower hull of all costs that are next to a rate."""
+        """Return the corners of the lower convex hull of all costs on either side of a rate."""
         near = max(rate / 1.5, self._slowest), min(1.5 * rate, 1 / self._tick)
         found = beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
         return (found[0], found[1]) if found else None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the convex lower hull of all costs, the highest rate first."""
+        """Return the corners of the lower convex hull of all costs, beginning with the highest rate."""
         slow = max(slowest, self._slowest)
         free = self._free(fastest, slow, min(fastest, 1 / self._tick))
         return tuple(reversed(lower_hull([*self.ticked.curve(fastest, slowest), *free])))
@@ -493,14 +535,14 @@ class Either(Clock):
 
 
 def beside(corners: Sequence[ClockPoint], rate: float) -> Sequence[ClockPoint]:
-    """Return the corner of at most a rate, and that of at least it; none where all are faster."""
+    """Return the next slower and the next faster corner at a rate; an empty list if all corners are faster."""
     slower = [corner for corner in corners if corner.rate <= rate * (1 + SAME)]
     faster = [corner for corner in corners if corner.rate > rate * (1 + SAME)] or slower[-1:]
     return (slower[-1], faster[0]) if slower else ()
 
 
 def lower_hull(points: Iterable[ClockPoint]) -> list[ClockPoint]:
-    """Return the corners of the convex lower hull of costs over rates, from the least rate to the least cost."""
+    """Compute the lower convex hull of cost over rate: its corners from the lowest rate to the least cost."""
     corners: list[ClockPoint] = []
     for point in sorted(points, key=lambda one: (one.rate, one.cost)):
         if corners and point.rate <= corners[-1].rate * (1 + SAME):  # one rate, but for rounding

@@ -1,4 +1,4 @@
-"""Results as text that restores them exactly, digests of the data behind them, and a folder of them.
+"""Storage of results in a folder, as text that restores them exactly, with digests of the data they depend on.
 
 ``encode`` writes the fields of a result and of its parts as JSON, each with the name of its class. ``decode`` restores
 any ``Result``: it finds the class of the result by its name, and those of its parts in the types of its fields. So a
@@ -49,12 +49,12 @@ LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neut
 
 
 def encode(value: object) -> str:
-    """Return data classes, arrays, mappings, sequences, numbers and words as JSON; equal data give equal text."""
+    """Write data classes, arrays, mappings, sequences, numbers and texts as JSON. Equal data give equal text."""
     return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
 
 
 def decode(text: str) -> Any:
-    """Return the data of an encoded text; sequences become tuples."""
+    """Restore the data that ``encode`` has written. Sequences become tuples."""
     try:
         return _restored(json.loads(text))
     except RecursionError:
@@ -62,12 +62,12 @@ def decode(text: str) -> Any:
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 of a text."""
+    """Compute the SHA-256 digest of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def fingerprint(problem: Problem) -> str:
-    """Return the digest of all data of a problem."""
+    """Compute the digest of all data of a problem."""
     network, paid = (problem.network, []) if problem.network.own_nodes else _short(problem.network)
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
@@ -89,7 +89,7 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
 def origin(
     problem: Problem | Mapping[str, Problem] | None = None, seed: int | None = None, method: str | None = None
 ) -> dict[str, Any]:
-    """Return the data needed to reproduce a result, as JSON documents and files contain them."""
+    """Return the data with which a result can be reproduced: version, digest of the problem, seed and method."""
     found: dict[str, Any] = {"version": __version__}
     found |= {} if seed is None else {"seed": seed}
     found |= {} if method is None else {"method": method}
@@ -187,7 +187,7 @@ FORGOTTEN = 3600.0  # seconds after which an incomplete file is deleted
 
 
 class Store:
-    """Answers on disk, each under the digest of all data that it depends on.
+    """Folder in which answers are stored. A file's name is the digest of the data on which its answer depends.
 
     A file contains a digest of its key and its text, then the text, and is renamed to its final name only when it is
     complete. So all stored answers are complete, even after a crash, and a file under the name of another answer is
@@ -202,8 +202,7 @@ class Store:
             self._open(label)
         except OSError as error:
             raise ProblemError(
-                f"the store {str(folder)!r} cannot be used ({why_unreadable(error)}); expected a folder that can be "
-                "written to"
+                f"the store {str(folder)!r} cannot be used ({why_unreadable(error)}); expected a writable folder"
             ) from None
 
     def count(self) -> int:
@@ -211,11 +210,11 @@ class Store:
         return sum(path.suffix != PART for path in self.folder.glob("cells/*/*"))
 
     def holds(self, key: str) -> bool:
-        """Return whether an answer, possibly damaged, is stored under a key."""
+        """Check whether there is a file for an answer. The file may be damaged."""
         return self._path(key).is_file()
 
     def tell(self, found: int, asked: int) -> None:
-        """Log the number of requested answers that are stored, and the number of other answers.
+        """Log how many of the requested answers are stored already, and how many other answers the folder contains.
 
         Warn if no requested answer is found in a store that another problem or version filled.
         """
@@ -234,7 +233,7 @@ class Store:
             TOLD.info("%d of %d cells are read from %s%s", found, asked, self.folder, rest if others else "")
 
     def read(self, key: str) -> object | None:
-        """Return the answer that is stored under a key, or None.
+        """Read the answer stored for a key; return None if there is none.
 
         A file that is damaged, or that is the file of another key under this name, is deleted with a warning.
         """
@@ -257,13 +256,13 @@ class Store:
         return None
 
     def write(self, key: str, answer: object) -> None:
-        """Store an answer."""
+        """Store an answer for a key."""
         text = encode(answer)
         try:
             write_whole(self._path(key), f"{_digest_under(key, text)}\n{text}".encode())
         except OSError as error:
             raise ProblemError(
-                f"the store {str(self.folder)!r} cannot be written to ({error.strerror}); its answers are intact: "
+                f"the store {str(self.folder)!r} cannot be written to ({error.strerror}); its results are intact: "
                 "free disk space, or correct the cause, and run again to continue"
             ) from None
 
@@ -314,9 +313,7 @@ def _digest_under(key: str, text: str) -> str:
 
 
 def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
-    """Write a result as netCDF atomically; another result of the same name is renamed, an equal one is left as it
-    is.
-    """
+    """Write a result as netCDF, atomically. If the file exists, it is left if equal, and is renamed if different."""
     whole: Any = result  # xarray's types are incomplete
     content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # in memory, as HDF5 aborts the process on a full disk
     note = ""
@@ -334,6 +331,6 @@ def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
         if error.errno in _READ_ONLY:
             return False, f"{path} is not written ({error.strerror}); --table writes the results to another folder"
         raise ProblemError(
-            f"{str(path)!r} cannot be written ({why_unreadable(error)}); the results are in the store: free disk "
-            "space, or correct the cause, and run again"
+            f"the file {str(path)!r} cannot be written ({why_unreadable(error)}); the results are in the store: free "
+            "disk space, or correct the cause, and run again"
         ) from None

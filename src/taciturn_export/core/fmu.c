@@ -78,6 +78,8 @@ const char *fmu_get_number(fmu_unit *unit, uint32_t reference, double *value) {
     *value = state->measured[reference - FMU_Y];
   } else if (reference >= FMU_U && reference - FMU_U < (uint32_t)FMU_APPLIED) {
     *value = state->applied[reference - FMU_U];
+  } else if (reference >= FMU_SILENCE && reference < FMU_SILENCE + FMU_SILENCES) {
+    *value = fmu_silence(&state->memory, reference - FMU_SILENCE);
   } else {
     return refuse_variable(unit, "number", reference);
   }

@@ -1,4 +1,4 @@
-"""Step function of ``omni-heading``: a robot on omnidirectional wheels with velocities relative to its heading."""
+"""Right-hand side of the plant ``omni-heading``: a robot on omni-directional wheels that drives in body coordinates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SECONDS = 0.1  # seconds per step
 
 
 def roll(x: Any, u: Any) -> Any:
-    """Return dx/dt of position and heading ψ for given velocities ahead and to the left and a given angular velocity.
+    """Return dx/dt of position and heading ψ, for velocities forward and to the left and an angular velocity.
 
     ẋ = cos ψ · ahead − sin ψ · left,   ẏ = sin ψ · ahead + cos ψ · left,   ψ̇ = turning
     """

@@ -3,10 +3,9 @@
 
 import { Curves, format, legend, scaled } from "./curves.js";
 import { Drawing, drawPlane, drawRaster } from "./drawings.js";
+import { at, post } from "./requests.js";
 
 const $ = (id) => document.getElementById(id);
-const token = new URLSearchParams(location.search).get("token");
-const at = (path, query = {}) => `${path}?${new URLSearchParams({ ...query, ...(token && { token }) })}`;
 const SILENCE = 6000; // milliseconds without an event after which the connection is lost; events come every 2 s
 const LINES = 200; // largest number of lines in the list of events
 const KEPT = 50000; // number of rows stored of a long round
@@ -309,9 +308,8 @@ $("push").onclick = () => ask("push", 1);
 $("controls").onsubmit = (event) => event.preventDefault();
 
 async function ask(what, value) {
-  const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
   try {
-    const answer = await fetch("ask", { method: "POST", headers, body: JSON.stringify({ ask: what, value }) });
+    const answer = await post("ask", { ask: what, value });
     if (!answer.ok) note(`${what} rejected: ${await answer.text()}`);
   } catch {
     note(`${what} failed: the run cannot be reached`);

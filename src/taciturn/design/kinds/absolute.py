@@ -1,4 +1,4 @@
-"""Absolute threshold: the controller sends when the error of the input or state at the actuator is large.
+"""Absolute threshold: the controller sends when the error of the actuator's input or state is large.
 
 The rule is e'We > Y². In silence e'We ≤ Y², and silence costs e'He for an error e of the input, e'L'HLe for one of the
 state. With the least μ for which H ⪯ μW or L'HL ⪯ μW, it costs at most μY², so J ≤ J_all + μY²(1 − rate). There is no

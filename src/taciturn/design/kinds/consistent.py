@@ -1,4 +1,4 @@
-"""Consistent periodic event-triggered control, which provably costs no more than periodic control at the same rate.
+"""Consistent event-triggered control: provably, its cost is at most that of periodic control at the same send rate.
 
 Every τ seconds, the error e of the prediction is compared with δ by its cost e'Γ(τ)e until the next check. The cost
 V_p(1/τ) + E[(1−σ)e'Γe]/τ is then on or below a line through the point of periodic control with the period τ:

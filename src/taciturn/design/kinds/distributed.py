@@ -1,35 +1,45 @@
-"""Several sensors and actuators, each of whose links decides for itself, with one bound on the cost of all together.
+"""Policies for several sensors and actuators, with separate decisions on each link and one bound on the cost.
 
-The Kalman filter of all measurements is linear, so its estimate is a sum of contributions of single sensors. A sensor
-that is silent, or an actuator that holds, leaves an error in the input of the loop. Let e = Σ_l e_l be its sum over the
-links l, each of which is silent only if e_l'He_l ≤ δ_l. By completion of squares, and by Minkowski's inequality for the
-norm √E[e'He],
+**In the mean**, for LQG and Gaussian noise. The Kalman filter of all measurements is linear, so its estimate is a sum
+of contributions of single sensors. A sensor that is silent, or an actuator that holds, leaves an error in the input of
+the loop. Let e = Σ_l e_l be its sum over the links l, each of which is silent only if e_l'He_l ≤ δ_l. By completion of
+squares, and by Minkowski's inequality for the norm √E[e'He],
 
     J = J_all + E[e'He] ≤ J_all + (Σ_l √(δ_l(1 − r_l)))²,   r_l the rate of link l.
 
 No link needs to know the errors of others. With dropouts, the identity holds if packets are acknowledged, but no bound.
+
+**On every path**, for any linear controller and any noise (``design/every_path``). Sensors send their outputs, and the
+controller its commands. Each node keeps the cost of its own silence within what is allowed, and
+
+    √J ≤ √J_b + Σ_l √g_l
+
+on every path and at every time, with the cost J_b of sending every sample on that path.
 
 Source: khashooei2017
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from math import sqrt
+from typing import Literal, TypeAlias
 
 from taciturn._arrays import choice, flag
 from taciturn.analyse.switched import MOST_LINKS, outcomes
 from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
 from taciturn.base.nominal import Nominal
-from taciturn.design.bounds import PULLED, shares_of, threshold_of
+from taciturn.design.bounds import PULLED, threshold_of
+from taciturn.design.every_path import RULES, Asked, RuleName, design_on_every_path, expect_few, weights_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.several_nodes import ContributionSteps, InputSteps
 from taciturn.errors import ProblemError
 from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.stored import Allowance
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
 from taciturn.model.network import IDEAL, Network
@@ -38,16 +48,19 @@ from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee, Identity, Theory, rounded_up, with_silence
 from taciturn.model.trigger import Form
 
-MOST_SETS = 4  # actuator links of which the controller compares all sets
 EXCESS = "input error"
 MODES: tuple[Actuation, ...] = ("hold", "model")
-ACKNOWLEDGED = "links drop packets: the cost identity holds, but no bound"
+ACKNOWLEDGED = "links drop packets: the cost identity holds, but no guarantee"
 UNHEARD = (
     "links drop packets without acknowledgement, and senders assume that packets arrive: neither the identity nor a "
-    "bound holds"
+    "guarantee holds"
 )
 ATTEMPTS = "J_all is the cost of an attempt on every link in every step"
 TOO_MANY = f"J_all is the cost without losses, because more than {MOST_LINKS} links drop packets"
+
+
+Claim: TypeAlias = Literal["average", "every path"]
+CLAIMS: tuple[Claim, ...] = ("average", "every path")
 
 
 @on_any_network
@@ -57,45 +70,77 @@ def distributed(
     *,
     delta: float | None = None,
     theta: float | None = None,
+    kappa: float | None = None,
     shares: dict[str, float] | None = None,
     period: float | None = None,
     prediction: Actuation = "hold",
     actuation: Actuation = "hold",
-    joint: bool = False,
+    joint: bool | None = None,
+    guarantee: Claim | None = None,
+    rule: RuleName | None = None,
+    spend: float | None = None,
+    gain_range: list[float] | None = None,
+    plants: Sequence[Plant | ContinuousPlant] = (),
+    controller: object = None,
     network: Network | None = None,
 ) -> Policy:
-    """Design a policy for a network of several sensors and actuators, in which each link decides for itself.
+    """Design a policy for several sensors and actuators, with a separate decision on each link.
 
-    The Kalman filter of all measurements is a sum of contributions, one from each sensor and one from the inputs. Each
-    sensor computes its contribution, sends it if the controller's copy of it has become too inexact, and is silent
-    otherwise. The controller adds its copies to an estimate of the state, and sends an input to an actuator if the
-    input that the actuator applies has become too inexact. A link l is silent if its error costs at most δ_l per step.
+    By default, for LQG with a bound on the ``"average"``: the Kalman filter of all measurements is a sum of
+    contributions, one from each sensor and one from the inputs. Each sensor computes its contribution, sends it if the
+    controller's copy of it has become too inexact, and is silent otherwise. The controller adds its copies to an
+    estimate of the state, and sends an input to an actuator if the input that the actuator applies has become too
+    inexact. A link l is silent if its error costs at most δ_l per step.
+
+    With a ``controller`` to keep, or with ``guarantee = "every path"``, sensors send their outputs and the controller
+    its commands. Each node follows the response q of the loop to its own silence. With d the value that is used in
+    silence minus the one that a packet would carry, this silence adds a = d'S d + 2 d'Y q to the cost, now and later.
+    The ``rule`` limits a, and the bound holds on every path, for any noise and any load.
 
     Args:
         plant: the plant.
-        cost: the cost, an average.
+        cost: the cost, an average; with a controller to keep, also a total over a horizon.
         delta: threshold δ ≥ 0 of all links together, δ = (Σ√δ_l)², a cost per step (for a continuous plant, cost per
-            second times seconds); or
-        theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
-            and which is 0 for a discrete plant.
-        shares: relative share of each link in the sum of the √δ_l; default 1 for each link that is not listed.
+            second times seconds); on every path, the δ_l are the incomes or the thresholds of the nodes; or
+        theta: share θ ≥ 0 by which the bound exceeds the cost of sending every sample, without the inter-sample noise
+            cost c, which no control changes and which is 0 for a discrete plant; or
+        kappa: share 0 ≤ κ < 1 for the rule ``"relative"``, κ² = Σκ_l².
+        shares: relative share of each link in the sum of the √δ_l, or in the κ_l; default 1 for each link that is not
+            listed.
         period: seconds between steps; only with a continuous plant.
-        prediction: what the controller assumes of a silent sensor's contribution: ``"hold"``, no further measurement;
-            ``"model"``, the measurements that a model of the plant predicts from the sensor's last packet.
+        prediction: what the controller uses for a silent sensor: ``"hold"``, no further measurement, or on every path
+            the last outputs; ``"model"``, what a model of the loop predicts from the sensor's last packet.
         actuation: what a silent actuator applies: ``"hold"``, its last input; ``"model"``, the input of a simulation
-            x̃⁺ = (A + BL) x̃ from the last packet.
-        joint: whether the controller sends the cheapest set of packets to actuators, by the prices of their links, that
-            leaves a total error of at most δ_A, √δ_A the sum of their √δ_l; default: each link for itself.
+            of the loop from the last packet.
+        joint: whether the controller chooses a set of packets to actuators. For the average it sends the cheapest set,
+            by the prices of their links, that leaves a total error of at most δ_A, √δ_A the sum of their √δ_l;
+            default: each link for itself. On every path it sends the set for which the cost of silence minus the price
+            of the packets that are saved is least; default: jointly, if the links to actuators are ideal and at most 4.
+        guarantee: ``"average"``, a bound in the mean for Gaussian noise; or ``"every path"``; default: every path with
+            a controller, and the average without.
+        rule: on every path, ``"bank"``: a node saves g_l in every step, and a silence may spend the share ``spend`` of
+            what it has saved; ``"relative"``: it saves κ_l² times the part of the stage cost that it has measured
+            itself, so no number for the noise is needed; ``"threshold"``: a silence may add δ_l; default: ``"bank"``,
+            or ``"relative"`` with kappa.
+        spend: share 0 < η ≤ 1 of the bank that one silence may spend; default 0.1.
+        gain_range: least and largest factor of the input gains of the plant for which the bound is to hold on every
+            path, such as [0.8, 1.2]; default: the bound is for this plant.
+        plants: further plants for which the bound is to hold on every path, such as draws of a fitted model, with as
+            many states, inputs and outputs.
+        controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         network: the nodes and links; default: a sensor, a controller and an actuator at different places. Losses must
-            be acknowledged for the identity of the cost, and exclude the bound.
+            be acknowledged for the identity of the cost, or for the certificate of every path, and exclude the bound.
 
     Returns:
-        The policy, with J ≤ J_all + (Σ√(δ_l(1 − r_l)))² ≤ J_all + (Σ√δ_l)² for links that deliver every packet.
+        The policy. In the mean, J ≤ J_all + (Σ√(δ_l(1 − r_l)))² ≤ J_all + (Σ√δ_l)² for links that deliver every packet.
+        On every path, √J ≤ √J_b + Σ√g_l with a bank, √J ≤ √J_b/(1 − κ) with a relative one, and √J ≤ √J_b +
+        Σ√(δ_l(1 − r_l)) with a threshold, J_b the cost of sending every sample on that path.
 
     Raises:
-        ProblemError: unless exactly one of δ and θ is given, if a share is given for another link or all are 0, if no
-            link of the network decides, or if the cost has a horizon or a discount.
-        UnstableError: if no stabilising gain or filter exists.
+        ProblemError: unless exactly one of δ, θ and κ is given, if a share is given for another link or all are 0, if
+            no link of the network decides, if the cost has a discount, or without a controller to keep a horizon, or
+            if an argument belongs to the other guarantee.
+        UnstableError: if no stabilising gain or filter exists, or the loop of the given controller is unstable.
 
     Source: khashooei2017
 
@@ -104,15 +149,35 @@ def distributed(
         >>> policy = distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.2)
         >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 9)
         (('sensor', 'actuator'), 1.2)
+        >>> kept = distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.2, controller=[[0.5]])
+        >>> kept.guarantee.every_path, round(kept.guarantee.cost / kept.cost_all_time, 9)
+        (True, 1.2)
     """
+    network = network or IDEAL
+    own = controller is not None
+    claim = choice("guarantee", ("every path" if own else "average") if guarantee is None else guarantee, CLAIMS)
+    if claim == "every path":
+        own_rule = choice("rule", rule or ("bank" if kappa is None else "relative"), RULES)
+        sensing, acting = choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
+        asked = Asked(own_rule, delta, theta, kappa, shares, spend, joint, sensing, acting, gain_range, tuple(plants))
+        kept = controller_from(controller) if own else None
+        return design_on_every_path(KIND.name, plant, cost, period, kept, network, asked)
+    stated = {"controller": controller, "kappa": kappa, "rule": rule, "spend": spend, "gain_range": gain_range}
+    stated["plants"] = plants or None
+    for name in (name for name, one in stated.items() if one is not None):
+        raise ProblemError(
+            f"the parameter {name} is given, but the guarantee is a bound on the average; expected guarantee = 'every "
+            f"path', or no {name}"
+        )
+    joint = False if joint is None else joint
     network = network or IDEAL
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)
     if lossy and plant.exosystem is not None:
         raise ProblemError(
-            f"{network.lost(lossy[0])} is given, and disturbances or set-points too, with whose size the effect of a "
-            "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
+            f"{network.lost(lossy[0])} is given together with disturbances or set-points, and the effect of a dropped "
+            "packet grows with them; expected links that deliver every packet, or neither disturbances nor set-points"
         )
     if 0 < len(lossy) <= MOST_LINKS:
         all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
@@ -192,21 +257,12 @@ def _thresholds(
 ) -> dict[tuple[str, ...], float]:
     """Return the threshold of each group of links that are decided together."""
     links = list(network.links)
-    if not links:
-        raise ProblemError("all nodes are at the controller's place, so no link decides; expected a node with a link")
-    given = shares_of(shares, links)
-    total = sum(given.values())
-    if total == 0:
-        raise ProblemError("shares is 0 for all links; expected a positive share of at least one link")
     together = tuple(link for link in links if network.nodes[link].applies)
-    if joint and len(together) > MOST_SETS:
-        raise ProblemError(
-            f"joint is true for {len(together)} actuator links, which have {2 ** len(together)} sets; expected at most "
-            f"{MOST_SETS} links, or joint = false"
-        )
+    if joint:
+        expect_few(list(together))
     apart = [(link,) for link in links if not joint or link not in together]
     groups = [*apart, together] if joint and together else apart
-    return {group: whole * (sum(given[link] for link in group) / total) ** 2 for group in groups}
+    return {group: whole * weight**2 for group, weight in weights_of(network, groups, shares).items()}
 
 
 def _error(certainty: CertaintyEquivalentDesign, allowed: Allowance | None) -> float | None:
@@ -240,17 +296,19 @@ def _guarantee(
 KIND = Kind(
     name="distributed",
     design=distributed,
-    goal="several sensors and actuators, each of whose links decides for itself, with one bound on the cost",
-    tuning=(TradeoffParameter("delta"), TradeoffParameter("theta")),
+    goal="several sensors and actuators, each of whose links decides for itself, with one guarantee for the cost",
+    tuning=(TradeoffParameter("delta"), TradeoffParameter("theta"), TradeoffParameter("kappa")),
     example={"theta": 0.1},
     nodes="any",
     proved=r"$J\le J_{all}+(\sum_l\sqrt{\delta_l(1-r_l)})^2$, rates $r_l$ in sends per step",
     relative_to="LQG with every sample of every node",
-    refused="losses exclude the bound",
+    refused="losses exclude the guarantee",
     data="trigger e'He of each link against its δ_l",
     order="sensors: contribution, decision, packet; controller: sum, inputs, decisions, packets; actuators: input",
     usual={"theta": 0.1, "prediction": "model"},
     asked=("theta",),
+    offered=1,
     several_nodes=True,
     shares="shares",
+    keeps_controller=True,
 )

@@ -1,4 +1,4 @@
-"""Downsampled threshold: the error is checked soon after a send, and less often after a check without a send.
+"""Downsampled threshold: the policy checks the error soon after a send, and then less often until the next send.
 
 The rule |e| > Y holds only in the steps of a check: ``fast`` steps after a send, and ``slow`` after a check without
 one. A counter of the steps to the next check is a location of the policy. It reads the weight of the trigger, zero
@@ -69,9 +69,11 @@ def downsampled(
     """
     fast, slow = count("fast", fast), count("slow", slow)
     if slow > LONGEST:
-        raise ProblemError(f"slow is {slow}; expected at most {LONGEST} steps")
+        raise ProblemError(f"slow = {slow}; expected at most {LONGEST} steps")
     if slow < fast:
-        raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in steps between checks")
+        raise ProblemError(
+            f"slow = {slow} and fast = {fast}; expected slow ≥ fast, where both are numbers of steps between checks"
+        )
     threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("downsampled", problem), problem.weight()
@@ -98,7 +100,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("threshold"),),
     example={"fast": 1, "slow": 3, "threshold": 1.0},
     data=(
-        "the location `wait` counts down to the next check and is moved by the decision; the weight of the "
+        "the location `wait` counts down to the next check and depends on the decision; the weight of the "
         "trigger is read by `wait`"
     ),
     order="operations of `lqg`",

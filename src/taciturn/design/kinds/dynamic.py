@@ -1,4 +1,4 @@
-"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily by using a stored credit.
+"""Dynamic trigger: the error may exceed a relative threshold for a while, as long as a stored credit allows it.
 
 The rule is gain·(|e|² − σ²|x̂|²) > η with η⁺ = ρη + σ²|x̂|² − |e|². If gain·ρ ≥ 1, the credit η never becomes negative:
 after a silent step, η⁺ ≥ ρη − η/gain ≥ 0. Its mean is stationary, so (1 − ρ)E[η] = E[σ²|x̂|² − |e|²] ≥ 0. Hence the mean
@@ -72,8 +72,8 @@ def dynamic(
     rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST_PARAMETER)
     if gain * rho < 1 - 1e-12:
         raise ProblemError(
-            f"gain is {gain:g} and rho is {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
-            "so that the threshold η of the trigger is never negative"
+            f"gain = {gain:g} and rho = {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, so that the "
+            "threshold η of the trigger is never negative"
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("dynamic", problem), problem.weight()
@@ -110,7 +110,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("sigma"),),
     example={"sigma": 0.03, "rho": 0.8, "gain": 2.0},
     follows=(),
-    proved="the bound of `relative`",
+    proved="the guarantee of `relative`",
     relative_to="LQG with every sample",
     data="`Evaluate` memory `credit`⁺ = ρ·credit + σ²x̂'x̂ − e'e, which the trigger adds (`plus`)",
     order="operations of `lqg`; the memory is updated after the decision, by its outcome",

@@ -1,4 +1,4 @@
-"""PID controllers that compute only when a measurement arrives, with gains that depend on the time since the last one.
+"""PID controllers that compute only when a measurement arrives. Their gains depend on the time since the last one.
 
 The sensor sends when the output has changed by more than Δ since the last packet, and in some variants after a longest
 interval. With the time t since the last packet, the controller then computes
@@ -21,6 +21,7 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
@@ -42,7 +43,7 @@ STATE = ("command", "area", "derivative", "before", "elapsed")
 
 @dataclass(frozen=True, repr=False)
 class EventPID(Displayed):
-    """The law of a PID controller that computes at packets."""
+    """Control law of a PID controller that computes only when a packet arrives."""
 
     pid: PID  # the gains
     step: float  # seconds per step
@@ -79,17 +80,23 @@ def design_event_pid(
     period: float | None,
     area: Callable[[Any, Any, float], Any],
 ) -> Policy:
-    """Return the policy of a PID controller that computes when a measurement arrives."""
+    """Design the policy of a PID controller that computes only when a measurement arrives."""
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     loops = pids_of(controller_from(controller))
     if not loops:
-        raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
+        raise ProblemError(
+            f"the controller of the policy kind {kind} is not a PID controller; expected the key 'pid' with kp, ki, kd "
+            "and filter"
+        )
     kept, *others = loops
     if others:
-        raise ProblemError(f"the controller has {len(loops)} PID loops; expected one loop with {kind}")
+        raise ProblemError(
+            f"the controller has {len(loops)} PID loops; expected one PID loop for the policy kind {kind}"
+        )
     if kept.tracking_time is not None:
         raise ProblemError(
-            f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
+            f"pid.tracking_time is {kept.tracking_time:g}, which the policy kind {kind} does not use; expected no "
+            "tracking_time, because this policy kind has no back-calculation"
         )
     expect_average(kind, cost)
     loop = GivenLoop.of(plant, cost, period, kept)
@@ -97,7 +104,8 @@ def design_event_pid(
     plant, step = loop.problem.plant, loop.problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:
         raise ProblemError(
-            f"the plant has {plant.inputs} inputs and {plant.outputs} outputs; expected one of each with {kind}"
+            f"the plant has {number_of(plant.inputs, 'input')} and {number_of(plant.outputs, 'output')}; expected one "
+            f"input and one output for the policy kind {kind}"
         )
     assert step is not None
     steps = 0.0 if longest is None else number("longest", longest, 0.0) / step
@@ -149,7 +157,7 @@ def event_pid(
     longest: float | None = None,
     period: float | None = None,
 ) -> Policy:
-    """Design an event-based PID controller, which computes if the output has changed by more than Δ, or after a time.
+    """Design an event-based PID controller, which computes after an output change of Δ, or after a longest interval.
 
     At a packet, the time t since the last packet enters the filter of the derivative, and the integral grows by ki t y.
     With a packet at every step, it is the given controller.

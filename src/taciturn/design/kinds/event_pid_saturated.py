@@ -1,4 +1,4 @@
-"""The event-based PID controller of Durand and Marchand, whose integral grows less after a long silence.
+"""The event-based PID controller of Durand and Marchand: after a long time without a packet, its integral grows less.
 
 It is the controller of ``event_pid`` with another area under the error. In silence the output has changed by at most Δ,
 so of the time t since the last packet only the last step h counts with the present error, and the rest with at most Δ:
@@ -30,7 +30,7 @@ def event_pid_saturated(
     delta: float,
     period: float | None = None,
 ) -> Policy:
-    """Design an event-based PID controller without a longest interval, which computes if the output has changed by Δ.
+    """Design an event-based PID controller, which computes after an output change of Δ, without a longest interval.
 
     While the sensor is silent, the output has changed by at most Δ. So the integral grows by ki times h y for the last
     step h, and at most Δ(t − h) for the silence before it, with the sign of y.

@@ -1,4 +1,4 @@
-"""Excess trigger: the controller sends when the exact additional cost of silence would exceed a threshold.
+"""Excess trigger: the controller sends when not sending would increase the cost by more than a threshold.
 
 By completion of squares J = J_all + E[(1−σ)e'He], e the error of the input and H = R + B'KB. The trigger sends iff this
 term would exceed δ, so silence costs at most δ per step and
@@ -114,7 +114,9 @@ def excess(
     links, every = network or IDEAL, count("every", every)
     choice("link", link, ("actuator", "sensor"))
     if every > LONGEST:
-        raise ProblemError(f"every is {every}; expected at most {LONGEST} steps between packets of the base")
+        raise ProblemError(
+            f"every = {every}; expected at most {LONGEST}: the base policy must send at least once in {LONGEST} steps"
+        )
 
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
@@ -126,8 +128,9 @@ def excess(
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
             raise ProblemError(
-                "gains is 'loss-optimal'; expected an actuator link that drops packets and acknowledges those that "
-                "arrive, no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lqg'"
+                "gains = 'loss-optimal' does not apply here; expected an actuator link that drops packets and "
+                "acknowledges the packets that arrive, no given controller, actuation = 'hold' or 'zero', and every "
+                "= 1; or use gains = 'lqg'"
             )
         L = gains_for_losses(discretise(plant, cost, period), links.loss(link), actuation == "zero", links.lost(link))
     if controller is None:  # a model predicts the input that LQG with every sample would apply
@@ -165,7 +168,7 @@ def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float],
 KIND = Kind(
     name="excess",
     design=excess,
-    goal="few packets with a bound on the cost: at most 1 + θ times the cost of sending every sample",
+    goal="few packets with a guarantee: a cost of at most 1 + θ times the cost of sending every sample",
     tuning=(TradeoffParameter("delta"), TradeoffParameter("theta")),
     example={"theta": 0.1},
     proved=r"$J\le J_{all}+\delta(1-\text{rate})\le(1+\theta)J_{all}$, rate in sends per step",

@@ -1,4 +1,4 @@
-"""Event-triggered LQG control and tracking over links that drop packets, with and without acknowledgement.
+"""Event-triggered LQG control and tracking over links that drop packets, with or without acknowledgements.
 
 The actuator applies zero if no packet arrives. So an attempt to send Lx̂ saves x̂'Γx̂ on average compared with silence,
 Γ = (1−α) A'KB M⁻¹ B'KA, whatever happened before, and J = J_all + E Σ (1−σ)x̂'Γx̂ with the cost J_all of an attempt in
@@ -52,7 +52,7 @@ def lossy_lqg(
     network: Network | None = None,
     reference: Reference | None = None,
 ) -> Policy:
-    """Design LQG control that sends an input over lossy links when silence would cost more than the price of a send.
+    """Design LQG control over lossy links that sends an input when silence would cost more than the price of a send.
 
     The sensor sends the state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
     if no packet arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. Let α and β be the loss
@@ -100,7 +100,8 @@ def lossy_lqg(
     reference = None if reference is None else reference.relative_to(plant)
     if reference is not None and cost.horizon is None:
         raise ProblemError(
-            "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
+            "a reference trajectory is given without cost.horizon; expected cost.horizon as well, because the "
+            "trajectory is finite"
         )
     links = network or IDEAL
     network = links.without_bursts()
@@ -161,23 +162,26 @@ def lossy_lqg(
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
-    """Return the plant if the design for lossy links supports plant and cost; otherwise raise an error."""
+    """Raise an error if the design for lossy links does not support the plant or the cost; return the plant."""
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
-            "the plant is continuous in time, and its sampling gives a cross weight that lossy-lqg does not support; "
-            "expected a discrete plant: give plant.dt and the matrices of one step"
+            "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
+            "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
     if not plant.full_state:
         raise ProblemError(
-            "C or V is given, but lossy-lqg measures the full state; expected neither C nor V: remove them"
+            "C or V is given, but the policy kind lossy-lqg measures the full state; expected neither C nor V: remove "
+            "them"
         )
     if cost.N.any():
-        raise ProblemError("cost.N is not zero, which lossy-lqg does not support; expected no cross weight: remove it")
+        raise ProblemError(
+            "cost.N is not zero, which the policy kind lossy-lqg does not support; expected no cross weight: remove it"
+        )
     if cost.discount < 1:
         raise ProblemError(
-            f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average cost or a finite "
-            "horizon"
+            f"cost.discount is {cost.discount:g}, which the policy kind lossy-lqg does not use; expected an average "
+            "cost or a finite horizon"
         )
     return discretise(plant, cost, None).plant
 
@@ -245,8 +249,8 @@ def _limited(
     m, loss = np.eye(plant.inputs), 0.0 if network.acknowledges("actuator") else network.loss("actuator")
     if plant.input_rate is not None and loss:
         raise ProblemError(
-            f"plant.input_rate is given, and {network.lost('actuator')} is {loss:g} without acknowledgement, so that "
-            "the controller does not know how far the input has moved; expected protocol = 'tcp', or no input_rate"
+            f"plant.input_rate is given, but {network.lost('actuator')} is {loss:g}, and no packet is acknowledged, so "
+            "the controller does not know how far the input has changed; expected protocol = 'tcp', or no input_rate"
         )
     silent: Terms = {"command": 0.0 * m}
     sent: Terms = {"command": m}

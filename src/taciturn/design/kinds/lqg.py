@@ -1,4 +1,5 @@
-"""Output-feedback event-triggered LQG, which sends only if silence would cost more than θ times the stage cost.
+"""Event-triggered output-feedback LQG: a packet is sent only if not sending would cost more than θ times the stage
+cost.
 
 With the joint trigger, silence requires (1 + θ)e'He ≤ θ·(the stage cost that is expected from x̂ and the held input û).
 So (1 + θ)E[(1−σ)e'He] ≤ θJ. By completion of squares, the left side is (1 + θ)(J − J_all), and hence J ≤ (1 + θ)J_all.
@@ -49,7 +50,7 @@ def lqg(
     actuation: Actuation = "hold",
     network: Network | None = None,
 ) -> Policy:
-    """Design event-triggered LQG control whose cost is at most 1 + θ times the cost of sending at every step.
+    """Design event-triggered LQG control whose cost is at most 1 + θ times the cost of sending every sample.
 
     With the filtered estimate x̂ and e = û − Lx̂, where û is the input applied in silence, send if and only if
 
@@ -91,7 +92,7 @@ def lqg(
     if epsilon is not None and trigger != "separate":
         raise ProblemError(
             "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
-            "epsilon: use separate runs to compare both triggers"
+            "epsilon: use two runs to compare the two triggers"
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
@@ -132,8 +133,8 @@ def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float
     limit = least_eigenvalue(symmetrised(M[np.ix_(~p.registers, ~p.registers)]))
     if limit <= 0:
         raise ProblemError(
-            f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; "
-            "use trigger = 'joint', or give Q a small positive part"
+            f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; use "
+            "trigger = 'joint', or add a small positive definite matrix to Q"
         )
     if epsilon is None:
         epsilon = limit / 2
@@ -150,7 +151,7 @@ def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float
 KIND = Kind(
     name="lqg",
     design=lqg,
-    goal="the bound of excess, with the trigger of the thesis and an actuator that holds its input",
+    goal="the guarantee of excess, with the trigger of the thesis and an actuator that holds its input",
     tuning=(TradeoffParameter("theta"),),
     example={"theta": 0.1},
     proved=r"$J\le(1+\theta)J_{all}$",

@@ -1,4 +1,4 @@
-"""Time-triggered LQG control that sends at every step, or at fixed steps.
+"""Time-triggered LQG control, which sends at every step or at other fixed steps.
 
 With a cycle of intervals, the input of each interval is held, or a model at the actuator predicts the state. The gains
 solve the periodic Riccati equation of the cycle, and the cost is exact (``design/at_fixed_steps``). With a model in
@@ -100,9 +100,13 @@ def _cycle(every: object) -> tuple[int, ...]:
     listed = list(cast("Sequence[object]", every)) if isinstance(every, list | tuple) else [every]
     intervals = tuple(count("every", ticks) for ticks in listed)
     if not intervals:
-        raise ProblemError("every is an empty list; expected the steps between sends, at least 1, or a list of them")
+        raise ProblemError(
+            "every = []; expected the number of steps between sends, at least 1, or a list of such numbers"
+        )
     if sum(intervals) > LONGEST:
-        raise ProblemError(f"every adds up to {sum(intervals)} steps; expected at most {LONGEST}")
+        raise ProblemError(
+            f"the intervals in the list 'every' add up to {sum(intervals)} steps; expected at most {LONGEST} steps"
+        )
     return intervals
 
 

@@ -1,4 +1,4 @@
-"""Optimal periodic schedule with a given number of sends within a given number of steps.
+"""The optimal repeating schedule of a given length with a given number of sends.
 
 All cycles of intervals with this number and sum are tried, one rotation of each (necklaces), with the optimal gains and
 the exact cost of each (``lqg/periodic``). A cycle in which no gain stabilises the plant is left out.
@@ -16,7 +16,7 @@ from taciturn.design.at_fixed_steps import held_in_cycles
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.periodic import Pattern, necklaces
+from taciturn.lqg.periodic import necklaces
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -28,7 +28,7 @@ LONGEST = 1000  # largest number of steps of a pattern
 def periodic_schedule(
     plant: Plant | ContinuousPlant, cost: Cost, *, length: int, sends: int, period: float | None = None
 ) -> Policy:
-    """Design the optimal controller that sends in a repeating pattern with a given number of steps and sends.
+    """Design optimal control with a repeating schedule of given length and number of sends.
 
     All patterns of ``length`` steps with ``sends`` sends are compared, up to rotation. The input is held between sends.
     Each pattern is evaluated with the optimal gains of its periodic Riccati equation and its exact cost.
@@ -57,28 +57,26 @@ def periodic_schedule(
     """
     length, sends = count("length", length), count("sends", sends)
     if length > LONGEST:
-        raise ProblemError(f"length is {length}; expected at most {LONGEST} steps")
+        raise ProblemError(f"length = {length}; expected at most {LONGEST} steps")
     if sends > length:
-        raise ProblemError(f"sends is {sends} and length is {length}; expected at most as many sends as steps")
+        raise ProblemError(f"sends = {sends} and length = {length}; expected at most as many sends as steps")
     if comb(length - 1, sends - 1) > MOST_PATTERNS * sends:
         raise ProblemError(
-            f"length is {length} and sends is {sends}, which gives about {comb(length, sends) // length} patterns; "
-            f"expected at most {MOST_PATTERNS}: a shorter pattern, or fewer sends"
+            f"length = {length} and sends = {sends}, which gives about {comb(length, sends) // length} patterns; "
+            f"expected at most {MOST_PATTERNS} patterns: choose a shorter pattern, or fewer sends"
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("periodic-schedule", problem)
-    found: Pattern | None = None
+    found, lost = None, None
     for intervals in necklaces(length, sends):
         try:
             tried = certainty.held.solve(intervals)
-        except UnstableError:
+        except UnstableError as error:
+            lost = error
             continue
         found = tried if found is None or tried.cost < found.cost else found
     if found is None:
-        raise UnstableError(
-            f"no pattern of {sends} sends in {length} steps has a stabilising gain: an input held for so long cannot "
-            "control every mode; expected another length, or more sends"
-        )
+        raise UnstableError(f"no pattern of {sends} sends in {length} steps has a stabilising gain: {lost}")
     return held_in_cycles("periodic-schedule", certainty, found)
 
 

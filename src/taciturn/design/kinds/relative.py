@@ -1,4 +1,4 @@
-"""Relative threshold: the controller sends when the error is large compared with the state.
+"""Relative threshold: the controller sends when the error is large in proportion to the state estimate.
 
 The rule is |e| > σ|x̂|. Silence costs at most μσ²|x̂|², μ = λ_max(L'HL), and the stage cost is at least q|x̂|², so the
 excess is at most the share s = σ²μ/q of the cost itself, which gives a bound if s < 1 (``bound_by_state`` of

@@ -1,4 +1,4 @@
-"""Remote LQG control: an offline schedule decides on sensor queries, and an online trigger on sends of the input.
+"""Remote LQG control: an offline schedule determines when to query the sensor, and an online trigger when to send.
 
 The two decisions are independent. A query reduces the error covariance Σ of the prediction, which no input changes. So
 its value h(Σ), by which all later costs are less, is known in advance, and the queries with h(Σ_k) > ζ are a schedule
@@ -184,11 +184,14 @@ def _parameter(name: str, value: float | None, controller: Controller, place: Co
     if controller == place:
         if value is not None:
             raise ProblemError(
-                f"{name} is given with controller = {place!r}, which does not use it; expected no {name}"
+                f"the parameter {name} is given with controller = {place!r}, which does not use it; expected no {name}"
             )
         return 0.0
     if value is None:
-        raise ProblemError(f"{name} is missing; expected a number, at least 0, with controller = {controller!r}")
+        raise ProblemError(
+            f"the parameter {name} is missing; expected a number of at least 0, which controller = {controller!r} "
+            "requires"
+        )
     return number(name, value, 0.0, closed=True)
 
 

@@ -1,4 +1,5 @@
-"""Rollout: the controller selects the cheapest of all schedules that have as many sends as periodic control.
+"""Rollout: in each window of steps, the controller selects the cheapest schedule with as many sends as periodic
+control.
 
 A schedule of a window, followed by periodic control for ever, has optimal gains and a cost-to-go that is a quadratic
 form of the estimate and the held input (``_Future``). The cheapest one costs no more than the periodic one, which is
@@ -44,7 +45,7 @@ MOST_FUTURES = 256
 def rollout(
     plant: Plant | ContinuousPlant, cost: Cost, *, horizon: int, every: int, period: float | None = None
 ) -> Policy:
-    """Design the policy that reschedules the sends of periodic control within a window to reduce the cost.
+    """Design the policy that moves the sends of periodic control within a window to reduce the cost.
 
     The window consists of as many whole periods as fit into ``horizon``, but at least one. At the start of the window,
     the controller compares all schedules that have as many sends as periodic control. The cost of each schedule, with
@@ -80,8 +81,8 @@ def rollout(
     horizon = periods * every
     if horizon > MOST_FUTURES or comb(horizon, periods) > MOST_FUTURES:
         raise ProblemError(
-            f"horizon is {horizon} and every is {every}, which gives more than {MOST_FUTURES} schedules; "
-            f"expected at most {MOST_FUTURES}: use a shorter horizon"
+            f"horizon = {horizon} and every = {every}, which gives more than {MOST_FUTURES} schedules; expected at "
+            f"most {MOST_FUTURES} schedules: use a shorter horizon"
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("rollout", problem), np.eye(problem.plant.inputs)
@@ -148,7 +149,9 @@ class _Future:
         self.form = Form((ESTIMATE, "candidate"), V, noise)
 
     def gain(self, tick: int) -> Array:
-        """Return the feedback gain of a step of this schedule; it is arbitrary at a step without a send."""
+        """Return the feedback gain of this schedule at a step; the returned value is meaningful only at steps with a
+        send.
+        """
         return self.gains.get(tick, next(iter(self.gains.values())))
 
 

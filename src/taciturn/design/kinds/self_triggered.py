@@ -1,4 +1,4 @@
-"""Self-triggered LQ control: each send determines the time of the next send, as late as the guaranteed cost allows.
+"""Self-triggered LQ control: at each send, the policy chooses the time of the next one, as late as its bound allows.
 
 For each M, the cost of M steps with the best held input and of βx̂_M'Kx̂_M afterwards is a form x̂'P_Mx̂ plus that of
 noise. The largest M is taken for which it is at most βx̂'Kx̂ + βM J_all. The sum of these inequalities over all sends

@@ -1,4 +1,4 @@
-"""Send-on-delta: the sensor sends when an output has changed by more than a threshold since the last send.
+"""Send-on-delta: the sensor sends when an output differs by more than a threshold from the value last sent.
 
 A silent output is known within ±Δ. LQG control treats this as additional measurement noise of the variance Δ²/3, as of
 a uniform distribution, and filters the last value in every step. A given controller uses the last value. Both loops are
@@ -25,8 +25,9 @@ from taciturn.base.given_controller import GivenLoop, lqg_observer
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import actuator_base, route_over
 from taciturn.base.value import least_value
+from taciturn.design.around_controller import FilteredSteps
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.dead_bands import DeadBands, FilteredSteps, errors_of_one, given_at_nodes, policy_of_loop
+from taciturn.design.dead_bands import DeadBands, errors_of_one, given_at_nodes, policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -63,7 +64,7 @@ def send_on_delta(
     for the measurement noise V + (Δ²/3) I [suh2007]. A given ``controller`` uses the last outputs sent. With ``link =
     "actuator"``, the controller sends its command when an input has changed by more than Δ.
 
-    In a network with nodes of one's own, each sensor with a link sends its outputs if one of them has changed by more
+    In a network with named nodes, each sensor with a link sends its outputs if one of them has changed by more
     than Δ times the share of its link, and the controller likewise sends its command to each actuator with a link,
     which holds its input. This also holds for a given ``controller``, which then uses the last outputs received.
 
@@ -74,7 +75,7 @@ def send_on_delta(
         period: seconds between steps; only with a continuous plant.
         controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"sensor"``: measurements are sent; ``"actuator"``: commands of a controller at the sensor's site.
-        shares: factor of Δ for each link of a network with nodes of one's own; default 1 for each that is not listed.
+        shares: factor of Δ for each link of a network with named nodes; default 1 for each that is not listed.
         network: the nodes; default: a sensor, and a controller at the place of the actuator. Links must be ideal.
 
     Returns:
@@ -99,7 +100,10 @@ def send_on_delta(
     own = chosen is network  # of the usual nodes, only the one that ``link`` names has a link
     shares, links = shares or {}, list(chosen.links)
     if own and link != "sensor":
-        raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
+        raise ProblemError(
+            f"link = {link!r} is given for a network with named nodes; expected no link, because each link of such a "
+            "network has a dead band"
+        )
     if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
@@ -139,14 +143,14 @@ def _filter(
     settling = 1 / (1 - max(certainty.regulator.slowest, steady.slowest))
     return Nominal(problem, certainty.cost_all_time, settling, certainty.error).policy(
         "send-on-delta",
-        bands.steps(filtered),
+        bands.around.steps(filtered),
         {"prior": plant.mean},
         Theory(
             guarantee=bound_by_errors(problem, _with_every_sample(certainty, steady.gain, unknown), errors),
             errors=errors,
             covers=THEORY,
         ),
-        sites=bands.sites,
+        sites=bands.around.sites,
         network=network,
     )
 

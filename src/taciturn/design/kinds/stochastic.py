@@ -1,4 +1,4 @@
-"""Stochastic trigger: a random threshold keeps the error Gaussian, so that cost and rate can be computed exactly.
+"""Stochastic trigger: its random threshold keeps the error Gaussian, so that cost and rate can be computed exactly.
 
 An error e is not sent with the probability exp(−½ s e'We). This factor has the form of a Gaussian density, so silence
 only changes the covariance Σ of the error, to (Σ⁻¹ + sW)⁻¹. If the actuator has a model, a send resets the error. Then
@@ -52,7 +52,7 @@ def stochastic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control with a random trigger, which does not send an error e with probability exp(−½ s e'We).
+    """Design LQG control with a random trigger, which stays silent with probability exp(−½ s e'We) at an error e.
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The controller sends iff ½ s e'We > ξ, where ξ
     is drawn from the exponential distribution with mean 1. With ``actuation = "model"``, a send resets e, and silence
@@ -146,9 +146,9 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
             return ClosedForm(problem.per_unit(average), {"actuator": 1 / length})
         if ended and paid >= before:
             raise UnstableError(
-                "the mean cost is infinite: an error that the weight does not limit grows faster than the probability "
-                "of not sending falls; expected a weight that is positive for every mode that does not decay, or a "
-                "larger scale"
+                "the mean cost is infinite: an error that the weight of the trigger does not limit grows faster than "
+                "the probability of not sending decreases; expected a positive weight for every mode that does not "
+                "decay, or a larger scale"
             )
         Sigma, before = following, paid
         if not np.isfinite(Sigma @ Sigma).all():

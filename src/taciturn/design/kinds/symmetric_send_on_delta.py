@@ -1,4 +1,4 @@
-"""Symmetric send-on-delta: the sensor sends the level of the output, a multiple of Δ, when it has changed.
+"""Symmetric send-on-delta: the sensor quantises the output with hysteresis in steps of Δ, and sends the changes.
 
 The level changes when the output is Δ away from it, to the multiple of Δ that the output has crossed: a quantiser with
 hysteresis, symmetric about zero. It differs from the output by at most Δ, so the certificate of dead bands holds
@@ -37,7 +37,7 @@ LEVEL, USED, STATE = "level", "used", "state"
 def symmetric_send_on_delta(
     plant: Plant | ContinuousPlant, cost: Cost, *, controller: object, delta: float, period: float | None = None
 ) -> Policy:
-    """Design a given controller that uses a level of the output, which changes when the output is Δ away from it.
+    """Design the loop of a given controller that uses the output quantised to multiples of Δ, with hysteresis.
 
     The levels are the multiples of Δ, so zero is one of them, and around it the sensor is silent. The controller
     computes in every step with the last level.
@@ -69,7 +69,9 @@ def symmetric_send_on_delta(
     loop = GivenLoop.of(plant, cost, period, controller_from(controller))
     problem, c = loop.problem, loop.controller
     if problem.plant.outputs != 1:
-        raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
+        raise ProblemError(
+            f"the plant has {problem.plant.outputs} outputs; expected one output for the policy kind {kind}"
+        )
     one = np.eye(1)
     expected = problem.plant.C @ problem.plant.mean  # which both ends know
     level = Crossed(delta)(expected)
@@ -100,7 +102,7 @@ def symmetric_send_on_delta(
 
 @dataclass(frozen=True, repr=False)
 class Crossed(Displayed):
-    """The change of the level, the multiple of Δ that the output has crossed."""
+    """Computes by which multiple of Δ the quantised output changes."""
 
     delta: float
 

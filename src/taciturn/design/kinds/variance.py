@@ -43,13 +43,13 @@ def variance(
     period: float | None = None,
     network: Network | None = None,
 ) -> Policy:
-    """Design LQG control whose sensor sends when the predicted variance (CΣ̃C')_ii of some output exceeds a threshold.
+    """Design LQG control whose sensor sends when the predicted variance (CΣ̃C')_ii of an output exceeds a threshold.
 
     Σ̃ is the error covariance of the state prediction at all nodes. Since Σ̃ does not depend on the measured values, the
     rule is a repeating schedule that is computed offline. The controller is at the actuator and filters the received
     measurements.
 
-    In a network with nodes of one's own, each sensor with a link sends its outputs if the predicted variance of one of
+    In a network with named nodes, each sensor with a link sends its outputs if the predicted variance of one of
     them exceeds the threshold, and the outputs of sensors at the controller's place are read at every step. Σ̃ takes
     into account which outputs were received.
 

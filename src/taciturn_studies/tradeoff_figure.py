@@ -1,0 +1,242 @@
+"""Figure of a trade-off: cost against rate; for several links, cost against traffic above the links' shares.
+
+The axis of costs has percentages above the cost of sending every sample. It holds the policy, sending every sample,
+and at each rate periodic control, the guarantee and the certificate; if these are far from the policy, the axis bends
+(``Above``). Below the lower bounds of all points, max_i (c_i + λ_i (r_i − r)) over rates r, lies the region that no
+schedule reaches; it is drawn if all points have one controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taciturn.extend import POLICIES, Above, Band, Curve, Level, Panel, Series, Thing, per_unit, percent
+from taciturn.study.evaluation import Evaluation
+from taciturn.study.periodic import UNSTABLE
+from taciturn.study.sentences import compared_text, more_text
+
+if TYPE_CHECKING:
+    from taciturn_studies.tradeoff import Point, Tradeoff
+
+LINE = 200  # points of the boundary of the region that no schedule reaches
+BELOW, ABOVE = 0.09, 0.04  # room below and above the costs, as a part of the axis
+WIDE = 30.0  # ratio of the largest and the smallest rate above which the axis of rates is logarithmic
+LITTLE = 0.05  # extra cost, relative to that of sending every sample, of the point in the title
+STRIP = 1.0  # height of the shares of the links, in inches
+
+
+def panels_of(found: Tradeoff) -> list[Panel]:
+    """Return the panel of costs and, for several links, the panel of each link's share of the packets."""
+    answers = [point.evaluation for point in found.points]
+    links = list(dict.fromkeys(link for one in answers for link in one.rates))
+    rates = [_traffic(one) for one in answers]
+    pace = _pace(answers[0])
+    limits = _limits([*rates, *([] if pace is None else [pace])])
+    wide = min(rates) > 0 and max(rates) > WIDE * min(rates)
+    shared: dict[str, Any] = {"xlog": wide, "xlim": None if wide else limits}
+    label = _label(found, links)
+    costs = _costs(found, label if len(links) == 1 else "", shared)
+    return [costs] if len(links) == 1 else [costs, _shares(answers, links, label, shared)]
+
+
+def _traffic(one: Evaluation) -> float:
+    """Return the rate of the only link, or the traffic of all links."""
+    if len(one.rates) == 1:
+        return next(iter(one.rates.values())).value
+    return 0.0 if one.traffic is None else one.traffic.value
+
+
+def _pace(one: Evaluation) -> float | None:
+    """Return the rate or the traffic of sending every sample, or None if sends may occur at any time."""
+    if one.base_rate is None:
+        return None
+    return one.base_rate * (1.0 if len(one.rates) == 1 else sum(one.prices.get(link, 1.0) for link in one.rates))
+
+
+def _limits(rates: Sequence[float]) -> tuple[float, float]:
+    low, high = min(rates), max(rates)
+    wide = (high - low) or high or 1.0
+    return max(low - 0.07 * wide, 0.0), high + 0.03 * wide
+
+
+def _label(found: Tradeoff, links: Sequence[str]) -> str:
+    prices = found.points[0].evaluation.prices
+    if len(links) == 1:
+        return f"sends per {found.rate_unit}"
+    priced = any(prices.get(link, 1.0) != 1 for link in links)
+    return f"traffic per {found.rate_unit}: {'price × sends' if priced else 'sends'} on all links"
+
+
+def _costs(found: Tradeoff, label: str, shared: dict[str, Any]) -> Panel:
+    """Return the panel of the costs."""
+    answers = [point.evaluation for point in found.points]
+    base = answers[0].cost_all_time if found.one_base else None
+    every, pace = [] if base is None else [base], _pace(answers[0])
+    series = [*_policies(found), *_periodic(found), *_bounds(found)]
+    series += [Series([pace], every, "", "points", thing="every sample")] if pace is not None and every else []
+    near = [one.cost.value for one in answers]
+    timed = [point.same_traffic or point.evaluation.periodic for point in found.points]
+    clocks = [one.value for one in timed if one is not None]
+    proved = [y for one in series if one.thing in ("guarantee", "certificate") for y in one.y]
+    above = Above.of(base, near, [*clocks, *proved]) if base is not None and base > 0 else None
+    bands = [*_unreachable(found), *_unstable(found)]
+    low, high = min([*near, *clocks, *proved, *every]), max([*near, *clocks, *proved, *every])
+    per = f"cost {per_unit(found.unit)}"
+    return Panel(
+        series,
+        label,
+        per if above is None else f"cost above every sample, {above.base:.4g} {per_unit(found.unit)}",
+        _headline(found),
+        levels=[Level(cost, "every sample") for cost in every],
+        bands=bands,
+        yabove=above,
+        ylim=_room(low, high, above, BELOW if any(band.text for band in bands) else ABOVE),
+        **shared,
+    )
+
+
+def _headline(found: Tradeoff) -> str:
+    """Return the least traffic of a point that costs little more than sending every sample, as a sentence."""
+    answers = [one.evaluation for one in found.points]
+    base, pace = answers[0].cost_all_time, _pace(answers[0])
+    if not found.one_base or base is None or base <= 0 or pace is None:
+        return ""
+    near = [point for point in found.points if -LITTLE <= point.evaluation.cost.value / base - 1 <= LITTLE]
+    if not near:
+        return ""
+    point = min(near, key=lambda point: _traffic(point.evaluation))
+    share = percent(_traffic(point.evaluation) / pace, 1)
+    text = f"{share} of the packets, {compared_text(point.evaluation.cost, base, '')}"
+    clock = point.same_traffic or point.evaluation.periodic
+    return text if clock is None else f"{text}; with periodic control {more_text(clock, base)}"
+
+
+def _room(low: float, high: float, above: Above | None, below: float) -> tuple[float, float]:
+    """Return the limits of the axis of costs."""
+    if above is not None and above.bend is not None:
+        ends = [float(np.arcsinh((end - above.base) / above.bend)) for end in (low, high)]
+        wide = ends[1] - ends[0]
+        first, last = (
+            above.base + above.bend * float(np.sinh(end)) for end in (ends[0] - below * wide, ends[1] + ABOVE * wide)
+        )
+        return first, last
+    spread = (high - low) or abs(high) or 1.0
+    return low - below * spread, high + ABOVE * spread
+
+
+def _families(found: Tradeoff) -> list[list[Point]]:
+    """Return the points that one curve connects, along the first key with numerical values, by rate."""
+    lead = _lead(found)
+    families: dict[str, list[Point]] = {}
+    for point in found.points:
+        others = {key: value for key, value in point.values.items() if key != lead}
+        families.setdefault(str(others), []).append(point)
+    return [sorted(points, key=lambda point: _traffic(point.evaluation)) for points in families.values()]
+
+
+def _connected(found: Tradeoff) -> Curve:
+    """Return how the points are drawn: those of words, such as kinds of actuation, have no line between them."""
+    lead = _lead(found)
+    return "line" if all(isinstance(point.values[lead], int | float) for point in found.points) else "points"
+
+
+def _lead(found: Tradeoff) -> str:
+    cells = [point.values for point in found.points]
+    names = list(cells[0])
+    return next((name for name in names if all(isinstance(cell[name], int | float) for cell in cells)), names[0])
+
+
+def _policies(found: Tradeoff) -> Iterator[Series]:
+    """Yield the costs of the policies, with the value of the parameter at each point."""
+    families, lead = _families(found), _lead(found)
+    for index, points in enumerate(families):
+        words = [
+            value if isinstance(value, str) else f"{key} = {value}"
+            for key, value in points[0].values.items()
+            if key != lead and any(str(point.values[key]) != str(value) for point in found.points)
+        ]
+        kind = points[0].evaluation.policy
+        yield Series(
+            [_traffic(point.evaluation) for point in points],
+            [point.evaluation.cost.value for point in points],
+            f"this policy ({kind}), by {lead}" if len(families) == 1 else ", ".join([kind, *words]),
+            error=[point.evaluation.cost.standard_error for point in points],
+            curve=_connected(found),
+            thing=POLICIES[index % len(POLICIES)],
+            notes=[str(point.values[lead]) for point in points] if len(families) == 1 else (),
+        )
+
+
+def _periodic(found: Tradeoff) -> Iterator[Series]:
+    """Yield the costs of periodic control: its curve or, for several links, those at the traffic of the points."""
+    for kind, curve in found.periodic.items():
+        x, y = [one.rate for one in curve], [one.cost for one in curve]
+        one, hold = len(found.periodic) == 1, kind == "hold"
+        name = "periodic control" if one else f"periodic control, {kind}"
+        yield Series(x, y, name, "dashed" if one or hold else "dotted", thing="periodic control")
+    timed = [(_traffic(point.evaluation), point.same_traffic.value) for point in found.points if point.same_traffic]
+    if timed:
+        x, y = zip(*sorted(timed), strict=True)
+        yield Series(x, y, "periodic control, same traffic", _joined(timed, "dashed"), thing="periodic control")
+
+
+def _bounds(found: Tradeoff) -> Iterator[Series]:
+    """Yield the guarantee and the certificate of each policy, named once."""
+    named: set[str] = set()
+    for points in _families(found):
+        answers = [point.evaluation for point in points]
+        proved = [one.cost_bound if one.cost_bound_at_rate is None else one.cost_bound_at_rate for one in answers]
+        measured = [None if one.certificate is None else one.certificate.value for one in answers]
+        kinds: tuple[tuple[str, Thing, list[float | None]], ...] = (
+            ("guarantee", "guarantee", proved),
+            ("certificate of the nodes", "certificate", measured),
+        )
+        for label, thing, values in kinds:
+            known = [(_traffic(one), value) for one, value in zip(answers, values, strict=True) if value is not None]
+            if known:
+                x, y = zip(*known, strict=True)
+                yield Series(x, y, "" if label in named else label, _joined(known, _connected(found)), thing=thing)
+                named.add(label)
+
+
+def _joined(points: Sequence[object], curve: Curve) -> Curve:
+    """Return how points are drawn: a single one has a mark."""
+    return curve if len(points) > 1 else "points"
+
+
+def _unreachable(found: Tradeoff) -> list[Band]:
+    """Return the region that no schedule reaches: below the lines of the lower bounds of all points."""
+    answers = [point.evaluation for point in found.points]
+    bounds = [one.lower_bound for one in answers if one.lower_bound is not None]
+    pace, base = answers[0].base_rate, answers[0].cost_all_time
+    if not bounds or not found.one_controller or pace is None or base is None:
+        return []
+    rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
+    lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
+    sure = percent(min(one.confidence for one in bounds))
+    text = f"{sure} sure, for this controller"
+    return [Band(None, lowest, [pace * rate for rate in rates], "no schedule is here", text=text)]
+
+
+def _unstable(found: Tradeoff) -> list[Band]:
+    """Return the region of the rates at which periodic control is unstable, up to the largest rate of such a point."""
+    rates = [_traffic(point.evaluation) for point in found.points if point.evaluation.no_clock == UNSTABLE]
+    return [Band(None, None, [0.0, max(rates)], "periodic control is unstable", "periodic control")] if rates else []
+
+
+def _shares(answers: Sequence[Evaluation], links: Sequence[str], label: str, shared: dict[str, Any]) -> Panel:
+    """Return the share of each link in the traffic, one above the other, up to that of sending every sample."""
+    found, pace = sorted(answers, key=_traffic), _pace(answers[0])
+    paid = [{link: rate.value * one.prices.get(link, 1.0) for link, rate in one.rates.items()} for one in found]
+    paid += [] if pace is None else [{link: answers[0].prices.get(link, 1.0) for link in answers[0].rates}]
+    x = [*map(_traffic, found), *([] if pace is None else [pace])]
+    low, bands = [0.0] * len(x), list[Band]()
+    for index, link in enumerate(links):
+        parts = [100 * one.get(link, 0.0) / (sum(one.values()) or 1.0) for one in paid]
+        high = [below + part for below, part in zip(low, parts, strict=True)]
+        bands.append(Band(low, high, x, link, 7 if index % 2 else "policy"))
+        low = high
+    return Panel((), label, "share (%)", ylim=(0.0, 100.0), bands=bands, ends=True, height=STRIP, **shared)
