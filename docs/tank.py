@@ -30,7 +30,7 @@ def picture() -> str:
         Panel(levels, ylabel="level", height=1.9),
         Panel(lanes=lanes, xlabel=f"time ({own.unit})", step=own.step),
     ]
-    figure = draw(panels, figsize=(6.4, 3.2))
+    figure = draw(panels, figsize=(5.8, 3.1))
     for part in (figure, *figure.axes):
         part.patch.set_visible(False)
     return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', f'width="{WIDTH}"', figure.svg(), count=1)
