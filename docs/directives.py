@@ -32,6 +32,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("problems", Problems)
     app.connect("env-updated", lambda app, env: ["gallery", "index"])  # they show what the other pages are
     app.connect("doctree-read", _describe)
+    app.connect("doctree-read", _find_plain)
     app.connect("doctree-resolved", _collect)
     app.connect("doctree-resolved", _picture_cards)
     app.connect("build-finished", _save_explorers)
@@ -86,6 +87,14 @@ class Cards(SphinxDirective):
         return [cards]
 
 
+_FIT = """<script>
+addEventListener("message", ({ source, data }) => {
+  for (const frame of document.querySelectorAll("iframe.explorer"))
+    if (frame.contentWindow === source && data.height > 0) frame.style.height = `${data.height + 2}px`;
+});
+</script>"""  # a frame is as high as the page in it says
+
+
 class Explorer(SphinxDirective):
     """The page of ``taciturn explore`` for a problem with changed parameters, saved without a server."""
 
@@ -100,8 +109,8 @@ class Explorer(SphinxDirective):
         self.env.metadata[self.env.docname].setdefault("explorers", {})[name] = (problem, *changes)
         page = escape(name)
         label = escape(f"Explore {problem}: cost against traffic, with a point that moves along its curve")
-        frame = f'<iframe class="explorer" src="{page}" title="{label}" loading="lazy"></iframe>'
-        return [nodes.raw("", frame, format="html")]
+        frame = f'<iframe class="explorer" src="{page}?plane" title="{label}" loading="lazy"></iframe>'
+        return [nodes.raw("", frame + _FIT, format="html")]
 
 
 class Kinds(SphinxDirective):
@@ -150,6 +159,15 @@ def _describe(app: Sphinx, tree: nodes.document) -> None:
         image["alt"] = " ".join(["Figure:", *titles, *(f"— {text.astext()}" for text in nearest)])[:300]
 
 
+def _find_plain(app: Sphinx, tree: nodes.document) -> None:
+    """Mark the figures of code cells whose colours do not follow those of the page."""
+    for image in tree.findall(nodes.image):
+        form, path = image.parent.get("mime_type"), Path(app.srcdir, image["uri"])
+        fixed = form == "image/svg+xml" and "prefers-color-scheme" not in path.read_text(encoding="utf-8")
+        if fixed or form == "image/png":
+            image["classes"].append("plain")
+
+
 def _line(node: nodes.Node) -> int:
     """Return the line of a node, or of the next one around it that has one."""
     around: nodes.Node | None = node
@@ -179,7 +197,7 @@ def _picture_cards(app: Sphinx, tree: nodes.document, name: str) -> None:
         for card in list(cards.children):
             assert isinstance(card, nodes.container)
             page = card["page"]
-            image = next(iter(app.env.get_doctree(page).findall(nodes.image)), None)
+            image = next(filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)), None)
             if image is None:
                 raise ValueError(f"the page {page} has no figure for its card")
             title, sentence = card.children
