@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import taciturn
-from taciturn._figure import Band, Lane, Level, Panel, Series, Side, draw
+from taciturn._figure import Band, Lane, Level, Panel, Series, Side, blank_sheet, draw
 from taciturn._style import STYLES, StyleName
 from taciturn.errors import ProblemError
 
@@ -168,6 +169,9 @@ def test_figures_of_users_have_the_colours_and_letters_of_a_style(name: StyleNam
         assert [line.get_color() for line in lines] == [style.color(number) for number in range(3)]
         assert axes.get_facecolor() == matplotlib.colors.to_rgba(style.background)
         assert axes.set_xlabel("x").get_size() == pytest.approx(0.9 * style.letters)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert blank_sheet(1.0, 1.0)[0]._repr_png_()  # a diagram, which has no axes to arrange
     assert matplotlib.rcParams["font.size"] == before
 
 

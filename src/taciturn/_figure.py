@@ -739,7 +739,7 @@ def blank_sheet(width: float, height: float, ax: Any = None, figsize: Size | Non
     smaller axes a drawing of this size is scaled by the factor, also its letters.
     """
     given = _check_canvas(ax, figsize, 1)
-    figure: Any = given[0].figure if given else figure_class()(figsize=figsize or (width, height))
+    figure: Any = given[0].figure if given else figure_class()(figsize=figsize or (width, height), layout="none")
     axis: Any = given[0] if given else figure.add_axes((0.0, 0.0, 1.0, 1.0))
     place, size = axis.get_position(), figure.get_size_inches()
     room = float(place.width * size[0]), float(place.height * size[1])
