@@ -18,7 +18,10 @@ from result_tables import key_table
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from sphinx.application import Sphinx
+    from sphinx.environment import BuildEnvironment
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -160,9 +163,17 @@ def _line(node: nodes.Node) -> int:
 
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
     for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
-        for page in sorted(app.env.found_docs - {name}):
+        for page in _in_order(app.env, app.config.root_doc, name):
             for image in filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)):
                 place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+
+
+def _in_order(env: BuildEnvironment, top: str, without: str) -> Iterator[str]:
+    """Return the pages below a page in the order of the menu, without one of them."""
+    for page in env.toctree_includes.get(top, []):
+        if page != without:
+            yield page
+        yield from _in_order(env, page, without)
 
 
 def _is_shown(image: nodes.image) -> bool:
@@ -218,7 +229,8 @@ def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
     before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
     if before:
         caption += nodes.Text(". " + re.split(r"\.\s", before[-1].astext())[0].rstrip(".:") + ".")
-    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption)
+    only = [word for word in image["classes"] if word.startswith("only-")]  # a picture for one colour scheme
+    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption, classes=only)
 
 
 def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
