@@ -9,23 +9,27 @@ import sys
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
 from kind_tables import kind_table, problem_table
 from names import listing, mend, shorten, told
+from pygments.lexers import TOMLLexer
+from pygments.token import Comment
 from result_tables import key_table
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from pygments.token import _TokenType
     from sphinx.application import Sphinx
     from sphinx.environment import BuildEnvironment
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
+    app.add_lexer("toml", ProblemFile)
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
     app.add_directive("cards", Cards)
@@ -35,6 +39,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("problems", Problems)
     app.connect("env-updated", lambda app, env: ["gallery", "index"])  # they show what the other pages are
     app.connect("doctree-read", _describe)
+    app.connect("doctree-read", _mark_plain)
     app.connect("doctree-resolved", _collect)
     app.connect("doctree-resolved", _picture_cards)
     app.connect("build-finished", _save_explorers)
@@ -42,6 +47,15 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+class ProblemFile(TOMLLexer):
+    """TOML in which a key behind a number sign, ``#key``, is a key that is left out, and ``# text`` a comment."""
+
+    def get_tokens_unprocessed(self, text: str, *rest: Any) -> Iterator[tuple[int, _TokenType, str]]:
+        """Mark the keys that are left out."""
+        for place, token, value in super().get_tokens_unprocessed(text, *rest):
+            yield place, Comment.Preproc if token is Comment.Single and value[1:2].strip() else token, value
 
 
 class Names(SphinxDirective):
@@ -151,6 +165,14 @@ def _describe(app: Sphinx, tree: nodes.document) -> None:
         before = [text for text in texts if (text.line or 0) <= _line(image)]
         nearest = before[-1:] or texts[:1]
         image["alt"] = " ".join(["Figure:", *titles, *(f"— {text.astext()}" for text in nearest)])[:300]
+
+
+def _mark_plain(app: Sphinx, tree: nodes.document) -> None:
+    """Mark the drawings that have no colours of their own for dark pages."""
+    for image in tree.findall(nodes.image):
+        path = Path(app.srcdir) / image["uri"]
+        if path.suffix == ".svg" and "prefers-color-scheme" not in path.read_text(encoding="utf-8"):
+            image["classes"].append("plain")
 
 
 def _line(node: nodes.Node) -> int:
