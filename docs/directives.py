@@ -9,20 +9,27 @@ import sys
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
 from kind_tables import kind_table, problem_table
 from names import listing, mend, shorten, told
+from pygments.lexers import TOMLLexer
+from pygments.token import Comment
 from result_tables import key_table
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pygments.token import _TokenType
     from sphinx.application import Sphinx
+    from sphinx.environment import BuildEnvironment
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
+    app.add_lexer("toml", ProblemFile)
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
     app.add_directive("cards", Cards)
@@ -40,6 +47,15 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+class ProblemFile(TOMLLexer):
+    """TOML in which a key behind a number sign, ``#key``, is a key that is left out, and ``# text`` a comment."""
+
+    def get_tokens_unprocessed(self, text: str, *rest: Any) -> Iterator[tuple[int, _TokenType, str]]:
+        """Mark the keys that are left out."""
+        for place, token, value in super().get_tokens_unprocessed(text, *rest):
+            yield place, Comment.Preproc if token is Comment.Single and value[1:2].strip() else token, value
 
 
 class Names(SphinxDirective):
@@ -178,9 +194,17 @@ def _line(node: nodes.Node) -> int:
 
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
     for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
-        for page in sorted(app.env.found_docs - {name}):
+        for page in _in_order(app.env, app.config.root_doc, name):
             for image in filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)):
                 place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+
+
+def _in_order(env: BuildEnvironment, top: str, without: str) -> Iterator[str]:
+    """Return the pages below a page in the order of the menu, without one of them."""
+    for page in env.toctree_includes.get(top, []):
+        if page != without:
+            yield page
+        yield from _in_order(env, page, without)
 
 
 def _is_shown(image: nodes.image) -> bool:
@@ -236,7 +260,8 @@ def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
     before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
     if before:
         caption += nodes.Text(". " + re.split(r"\.\s", before[-1].astext())[0].rstrip(".:") + ".")
-    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption)
+    only = [word for word in image["classes"] if word.startswith("only-")]  # a picture for one colour scheme
+    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption, classes=only)
 
 
 def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
