@@ -34,6 +34,7 @@ from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.analyse.every_sample import MORE, with_every_sample
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
+from taciturn.model.estimate import Estimate
 from taciturn.simulation.reliability import (
     doubt_errors,
     doubt_moments,
@@ -290,6 +291,8 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     found, loop = replace(found, estimator=AVERAGED[parts[0].estimator.sum]), parts[0].loop
     if len(parts) > 1:
         return found
+    if mute := {link for link, rate in found.rates.items() if rate.value == 0} and loop.mute:
+        found = replace(found, rates={**found.rates, **{link: Estimate(0.0, 0.0, "exact") for link in mute}})
     # completed squares are bounded if they are those of a decision and not of the input that is applied
     identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
     unbounded = parts[0].estimator.sum != EXCESS or (identity is not None and identity.on is None and lossy)

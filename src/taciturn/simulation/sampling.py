@@ -233,6 +233,12 @@ class Sampling:
         read = [name for some in names for name in some]
         self.counted: npt.NDArray[np.bool_] = np.array([isinstance(name, Sent) for name in read])
         self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
+        self.links = [  # of the counted sums
+            (part.loop, name.link)
+            for part, some in zip(self.parts, names, strict=True)
+            for name in some
+            if isinstance(name, Sent)
+        ]
 
     def _add_controls(self, history: History) -> bool:
         """Add control variates to the sums if there are any and enough paths to fit them; return whether it did."""
@@ -345,6 +351,12 @@ class Sampling:
         """Whether the cost of an uncontrolled plant grows without limit."""
         return any(comes_never_to_rest(part.loop) for part in self.parts)
 
+    def _must_send(self, loop: Loop, link: str) -> bool:
+        """Return whether the loop has settled only after a packet on the link: if it can send, and silence is not
+        safe.
+        """
+        return self._restless and link not in loop.mute
+
     def _affordable(self, states: Sequence[Array], budget: int) -> int:
         """Return the number of steps per path that the budget still allows."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
@@ -393,7 +405,8 @@ class Sampling:
             length = history.windows[-1][0]
             sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
-            silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
+            awaited = [row for row, link in zip(sent, self.links, strict=True) if row.any() or self._must_send(*link)]
+            silent = max((float((row == 0).mean()) for row in awaited), default=0.0)
             settled = history.steps >= max(least, pace) and silent <= _SILENT and bool(history.kept(0))
             enough = enough or (history.steps if settled else 0)
             if settled and (not changed or history.steps >= _PROLONGED * enough):
@@ -408,19 +421,15 @@ class Sampling:
     def _unheard(self, means: Array) -> bool:
         """Return whether no packet has been sent on a link, after which the loop may be another one for long."""
         # With an identity, each silent step costs what it has cost so far. Without one, the controller goes on as if
-        # its packets had arrived, and a rare first packet moves integrals and banks that have been at rest.
+        # its packets had arrived, and a rare first packet moves integrals and banks that have been at rest. A node that
+        # sends on another link has been heard, and a link that cannot send moves nothing.
         loop = self.parts[0].loop
         if len(self.parts) > 1 or loop.identity is not None or loop.policy.theory.closed_form is not None:
             return False
         rates: list[float] = means[self.counted].mean(axis=1).tolist()
-        silent = [name.link for name, rate in zip(sends(loop), rates, strict=True) if rate == 0]
-        return not {*silent} <= {*loop.policy.theory.fixed_rates, *self._without_need(means, silent)}
-
-    def _without_need(self, means: Array, silent: Sequence[str]) -> Iterator[str]:
-        """Yield the links of a node that sends on another link, or whose silence costs nothing, as of a command 0."""
-        for links, costs in self._added(means).items():
-            if not costs.any() or not {*links} <= {*silent}:
-                yield from links
+        silent = {name.link for name, rate in zip(sends(loop), rates, strict=True) if rate == 0}
+        heard = [link for node in silences(loop) if not silent.issuperset(node.links) for link in node.links]
+        return any(link not in loop.mute for link in silent.difference(loop.policy.theory.fixed_rates, heard))
 
     def _pace(self, rates: Array) -> float:
         """Return the steps until a transient has decayed, from time constants and intervals between sends."""
