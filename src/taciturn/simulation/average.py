@@ -46,13 +46,13 @@ from taciturn.simulation.reliability import (
 from taciturn.simulation.sampling import (
     SETTLING_CONSTANTS,
     SHORTEST_BURN_IN,
-    SIMULATED_PATHS,
     Averages,
     Estimator,
     Part,
     Sampling,
     counts,
     last_of,
+    paths_of,
 )
 
 _LEAST_STEPS, _MOST_STEPS = 1024, 1e13  # the largest number takes hours
@@ -323,7 +323,7 @@ def base_rate(loop: Loop) -> float:
 def least_work(loop: Loop) -> float:
     """Return how many operations ``average`` needs, at least, until a loop is in stationary operation."""
     least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
-    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * SIMULATED_PATHS
+    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * paths_of(least)
 
 
 def choose_estimator(loop: Loop) -> Estimator:

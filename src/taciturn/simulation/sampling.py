@@ -49,6 +49,7 @@ from taciturn.simulation.statistics import Moments, controlled_mean, mean, rate_
 # the run: paths, steps, and the precision that is asked for
 SIMULATED_PATHS = 4096
 _FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
+_BEGUN = 1 << 23  # most steps of all paths in a burn-in with more than _FEW_PATHS
 _FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
 _FEWEST_MISSIONS = 8
 MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
@@ -261,7 +262,7 @@ class Sampling:
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         few = max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8)
-        most = SIMULATED_PATHS if steps else min(SIMULATED_PATHS, few)
+        most = SIMULATED_PATHS if steps else min(few, paths_of(self._burn_in))
         states, history, forgotten = self.settle(most, budget)
         first = history.steps
         if steps is not None and self._affordable(states, budget) > _PAYS * first:
@@ -372,6 +373,12 @@ class Sampling:
         cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
         return -(-ticks // cycle) * cycle
 
+    @property
+    def _burn_in(self) -> int:
+        """Steps after which a transient has decayed that is as slow as the time constants of the designs."""
+        slowest = max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts)
+        return max(SHORTEST_BURN_IN, int(slowest))
+
     def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
         """Simulate until the transient has decayed. Return the final states, the history, and whether it has
         decayed.
@@ -381,8 +388,7 @@ class Sampling:
         # silence is safe. If the burn-in is long, fewer paths continue; half of the budget is reserved for the
         # measurement.
         width = len(self.parts)
-        slowest = max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts)
-        least = max(SHORTEST_BURN_IN, int(slowest))
+        least = self._burn_in
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         least = min(least, budget // paths // width // 2)
         states: list[Array] = [
@@ -539,6 +545,11 @@ class Sampling:
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
         self.progress(max(spent, precise))
+
+
+def paths_of(burn_in: int) -> int:
+    """Return the number of paths of a loop without a horizon: few if the burn-in is long, which every path repeats."""
+    return min(SIMULATED_PATHS, max(_FEW_PATHS, _BEGUN // burn_in // 8 * 8))
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
