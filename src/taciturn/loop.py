@@ -499,12 +499,12 @@ def close(
         cost = padded(cost, policy.model.inputs)
     period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
     problem = discretise(plant, cost, period, policy.prediction)
-    for name, size in (("states", "stated"), ("inputs", "inputs"), ("outputs", "outputs")):
+    for name, size in (("state", "stated"), ("input", "inputs"), ("output", "outputs")):
         got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:
             raise ProblemError(
-                f"the plant of the loop has {got} {name}; expected {expected} {name}, as in the plant of the policy's "
-                "design"
+                f"the plant of the loop has {number_of(got, name)}; expected {number_of(expected, name)}, as in the "
+                "plant of the policy's design"
             )
     problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
     problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem

@@ -32,6 +32,7 @@ from taciturn.extend import (
     in_notebook,
     instance,
     number,
+    number_of,
     percent,
     table_text,
 )
@@ -109,7 +110,7 @@ def _periodic(found: Sharing) -> dict[str, float]:
 def _verdict(found: Sharing) -> str:
     """Return the cost, next to that of periodic control and of the best scheduler."""
     base, bound = found.cost_all_time, found.lower_bound
-    start = f"{found.loops} loops, at most {found.capacity} sends per step: "
+    start = f"{number_of(found.loops, 'loop')}, at most {number_of(found.capacity, 'send')} per step: "
     if not base:
         return f"{start}sum of costs {found.cost} per {found.unit}"
     told = [compared_text(found.cost, base)]
@@ -306,7 +307,8 @@ class Sharing(Tabular):
         base, values = self.cost_all_time, [value for _, value, _, _ in rows]
         above = Above.of(base, [self.cost.value], values) if base > 0 else None
         more = {name: extra for name, _, extra in _costs(self)}
-        title = f"{self.loops} loops, scheduler {self.scheduler}, at most {self.capacity} sends per step"
+        most = f"at most {number_of(self.capacity, 'send')} per step"
+        title = f"{number_of(self.loops, 'loop')}, scheduler {self.scheduler}, {most}"
         return Panel(
             [
                 Series([value], [float(row)], "", "bars", [error], thing)
@@ -409,7 +411,7 @@ def share_channel(
         loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
         if capacity > loops:
             raise ProblemError(
-                f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
+                f"capacity is {capacity}, but the channel has only {number_of(loops, 'loop')}; expected at most {loops}"
             )
         if standard_error is not None and steps is not None:
             raise ProblemError(f"standard_error and steps={steps} are both given; expected one of them")

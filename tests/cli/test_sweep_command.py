@@ -73,7 +73,7 @@ def test_a_summary_fits_80_columns() -> None:
     assert max(map(len, lines)) <= 80
     told = SweepTable(found).verdict
     assert told[0].startswith("least cost 0.7405479 ± 0.0000056 at theta = 0.05, cost.R = [[0.1, 0.0], [0.0, 0.1]]")
-    assert told[1] == "1 cells over theta (1) × cost.R (1): 1 evaluated, 0 refused"
+    assert told[1] == "1 cell over theta (1) × cost.R (1): 1 evaluated, 0 refused"
     assert lines[-1].endswith("[[0.1, 0.0], [0.0, 0.1]]  0.7405479 ± 0.0000056")
 
 

@@ -33,7 +33,7 @@ import typer.core
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
 from taciturn._process import Interrupted, ends_on_signals, has_ended, prefer_one_thread
-from taciturn._text import WIDEST, wrapped_text
+from taciturn._text import WIDEST, number_of, wrapped_text
 from taciturn.cli.usage import EXAMPLE as EXAMPLE
 from taciturn.cli.usage import name_options, no_command, parser_words, usage_text
 from taciturn.errors import TaciturnError
@@ -565,7 +565,7 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
         began = time.monotonic()
 
         def move(fraction: float) -> None:
-            counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{cells} cells"
+            counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{number_of(cells, 'cell')}"
             left = left_text(time.monotonic() - began, fraction)
             bar.update(task, total=1.0, completed=fraction, description=what + counted, left=left)
 

@@ -323,7 +323,7 @@ def base_rate(loop: Loop) -> float:
 def least_work(loop: Loop) -> float:
     """Return how many operations ``average`` needs, at least, until a loop is in stationary operation."""
     least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
-    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * paths_of(least)
+    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * paths_of(loop, least)
 
 
 def choose_estimator(loop: Loop) -> Estimator:

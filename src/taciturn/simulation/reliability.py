@@ -94,8 +94,8 @@ def find_doubts(
         )
     elif silent and not settled and not drifts and loop.identity is None:
         notes += (
-            f"nothing was sent on {silent} in the {steps} steps simulated: the cost is that of silence until the first "
-            "packet, and not an average",
+            f"nothing was sent on {silent} in the {number_of(steps, 'step')} simulated: the cost is that of silence "
+            "until the first packet, and not an average",
         )
     elif silent:
         notes += (f"nothing was sent on {silent} in {number_of(steps, 'step')}: the cost is that of silence",)

@@ -35,6 +35,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
+from taciturn._text import number_of
 from taciturn.analyse.every_sample import MORE
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
@@ -262,7 +263,7 @@ class Sampling:
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         few = max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8)
-        most = SIMULATED_PATHS if steps else min(few, paths_of(self._burn_in))
+        most = SIMULATED_PATHS if steps else min(few, *(paths_of(part.loop, self._burn_in) for part in self.parts))
         states, history, forgotten = self.settle(most, budget)
         first = history.steps
         if steps is not None and self._affordable(states, budget) > _PAYS * first:
@@ -314,7 +315,8 @@ class Sampling:
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
         if _FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"the horizon is {horizon}, so {budget} steps contain fewer than {_FEWEST_MISSIONS} runs; "
+                f"the horizon is {horizon}, so {number_of(budget, 'step')} contain fewer than "
+                f"{_FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
@@ -459,7 +461,7 @@ class Sampling:
                     find_loss(part.loop, self.programs[k], run, before, now)
                     single = part.loop.precision == "float32"
                     passed = "the range of single precision" if single else f"{HUGE:g}"
-                    raise part.diverges(f"the cost exceeded {passed} within {self.steps} steps")
+                    raise part.diverges(f"the cost exceeded {passed} within {number_of(self.steps, 'step')}")
             ticks -= now
             self.progress.tick()
         return sums, after
@@ -547,9 +549,13 @@ class Sampling:
         self.progress(max(spent, precise))
 
 
-def paths_of(burn_in: int) -> int:
-    """Return the number of paths of a loop without a horizon: few if the burn-in is long, which every path repeats."""
-    return min(SIMULATED_PATHS, max(_FEW_PATHS, _BEGUN // burn_in // 8 * 8))
+def paths_of(loop: Loop, burn_in: int) -> int:
+    """Return the number of paths of a loop without a horizon: few if the burn-in is long, which every path repeats.
+
+    If links drop packets, many paths show whether a few of them dominate the cost.
+    """
+    few = max(_FEW_PATHS, _BEGUN // burn_in // 8 * 8)
+    return min(SIMULATED_PATHS, few) if loop.network.ideal else SIMULATED_PATHS
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
