@@ -91,7 +91,7 @@ class Sums(Displayed):
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of checks at which an unsent error is outside the quadrature nodes' region."""
+        """Return a bound on the share of checks at which an unsent error is outside the region of the quadrature."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:

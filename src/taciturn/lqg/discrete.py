@@ -171,7 +171,7 @@ def registers_from(problem: Discrete) -> int:
 
 
 def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of the plant ``model`` for a problem whose states contain other registers."""
+    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
     point, fed, place = model.operating_point, [*problem.plant.registers], registers_from(problem)
     if point is None or model.registers == problem.plant.registers:
         return point

@@ -216,7 +216,7 @@ def plain(value: Any) -> Any:
 
 
 def whole(estimate: Estimate) -> dict[str, Any]:
-    """Convert an estimate to JSON, including its method and, for a quadrature, its error bound."""
+    """Return the JSON of an estimate with its method and, for a quadrature, its error bound."""
     return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})
 
 

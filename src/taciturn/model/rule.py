@@ -96,7 +96,7 @@ def rule_of(policy: PolicyData, send: Send) -> Rule:
 
 
 def choice_of(policy: PolicyData, decide: Decide) -> Rule:
-    """Describe a decision that sends no packet. The attribute ``when`` of the returned rule is the description."""
+    """Describe a decision that sends no packet, such as a choice between gains, in ``when`` of the returned rule."""
     labels = decide.trigger.labels
     turning = timetable(policy, decide.trigger, labels[1:])
     if turning is not None and len(labels) == 2:

@@ -424,7 +424,7 @@ class Ticked(Clock):
         return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the lower convex hull between two rates, and the next slower corner, fastest first."""
+        """Return the corners of the lower convex hull between two rates, and the next corner below, by falling rate."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
         corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)
