@@ -128,7 +128,7 @@ def test_the_readme_states_what_the_problem_gives() -> None:
 
 def test_the_readme_states_what_send_on_delta_costs_at_the_same_rate() -> None:
     """With its threshold at the sensor, which costs less than at the actuator, tuned to the rate of the other row."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     problem = load("pid-tank").changed({"kind": "send-on-delta", "theta": None, "delta": 0.0602, "link": "sensor"})
     found = taciturn.evaluate(problem, steps=10**6)
     base, proven = found.cost_all_time, found.cost_bound
