@@ -37,11 +37,10 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("kinds", Kinds)
     app.add_directive("keys", Keys)
     app.add_directive("problems", Problems)
-    app.connect("env-updated", lambda app, env: ["gallery", "index"])  # they show what the other pages are
+    app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
     app.connect("doctree-read", _describe)
     app.connect("doctree-read", _find_plain)
     app.connect("doctree-resolved", _collect)
-    app.connect("doctree-resolved", _picture_cards)
     app.connect("build-finished", _save_explorers)
     app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
     app.connect("autodoc-process-signature", _short)
@@ -87,19 +86,21 @@ class Figures(SphinxDirective):
 
 
 class Cards(SphinxDirective):
-    """A card for each line ``page: Title. Sentence.``, with the first figure of the page."""
+    """A card for each line ``page: Title. Sentence.``, with the pictogram of the page, ``_static/tasks/page.svg``."""
 
     has_content = True
 
     def run(self) -> list[nodes.Node]:
-        """Leave a place for the figures, until those pages are read."""
+        """Put the pictograms into the page itself, so that they have its colours."""
         cards = nodes.container(classes=["cards"])
         for line in self.content:
             page, _, text = line.partition(": ")
             title, _, sentence = text.partition(". ")
-            cards += nodes.container(
-                "", nodes.paragraph("", "", nodes.strong("", title)), nodes.paragraph("", sentence), page=page
-            )
+            drawn = Path(self.env.srcdir, "_static", "tasks", f"{page}.svg")
+            self.env.note_dependency(str(drawn))
+            card = nodes.container("", nodes.raw("", drawn.read_text(encoding="utf-8"), format="html"))
+            card += self.parse_text_to_nodes(f"**[{title}]({page}.md)**\n\n{sentence}")
+            cards += card
         return [cards]
 
 
@@ -213,25 +214,6 @@ def _is_shown(image: nodes.image) -> bool:
     return form.get("mime_type") != "image/png" or all(
         other.get("mime_type") != "image/svg+xml" for other in form.parent
     )
-
-
-def _picture_cards(app: Sphinx, tree: nodes.document, name: str) -> None:
-    """Put the first figure of its page into each card, and make the card a link."""
-    for cards in [node for node in tree.findall(nodes.container) if node["classes"] == ["cards"]]:
-        for card in list(cards.children):
-            assert isinstance(card, nodes.container)
-            page = card["page"]
-            image = next(filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)), None)
-            if image is None:
-                raise ValueError(f"the page {page} has no figure for its card")
-            title, sentence = card.children
-            picture = image.deepcopy()
-            picture["alt"] = ""  # the title below it says it
-            link = {"refuri": app.builder.get_relative_uri(name, page), "internal": True}
-            card.clear()
-            card += nodes.reference("", "", picture, **link)
-            card += nodes.paragraph("", "", nodes.reference("", "", *title.children, **link))
-            card += sentence
 
 
 def _save_explorers(app: Sphinx, error: Exception | None) -> None:

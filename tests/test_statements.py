@@ -103,7 +103,10 @@ def test_the_readme_states_what_the_problem_gives() -> None:
     """Packets and costs of its table, as evaluate gives them, and the packets of the run in its picture."""
     text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     problem = load("pid-tank").changed({"theta": 0.8})
-    found, run = taciturn.evaluate(problem), taciturn.simulate(problem.close(problem.design()), 300, versus="periodic")
+    found, run = (
+        taciturn.evaluate(problem),
+        taciturn.simulate(problem.close(problem.design()), 300, seed=2, versus="periodic"),
+    )
     base = found.cost_all_time
     assert base is not None
     assert found.clock is not None
@@ -111,11 +114,29 @@ def test_the_readme_states_what_the_problem_gives() -> None:
     assert run.versus is not None
     rate, more = f"{100 * found.rates['actuator'].value:.1f} %", f"+{100 * (found.cost.value / base - 1):.2f} %"
     proven = f"+{100 * (found.cost_bound_at_rate / base - 1):.1f} %"
-    assert f"**Taciturn** | **{rate}** | **{more}** (proven: at most {proven})" in text
-    assert f"best fixed steps | {rate} | +{100 * (found.clock.cost / base - 1):.1f} %" in text
-    assert {int(one.sends["actuator"].sum()) for one in (run, run.versus)} == {64}
-    assert "In 300 samples, the controller sends 64 packets to the valve" in text
-    assert "taciturn simulate pid-tank --set theta=0.8 --steps 300 --versus periodic" in text.replace("\\ ", "")
+    assert f"**Taciturn** | **{rate}** | **{more}** (proven {proven})" in text
+    assert f"at this rate the theorem proves {proven}; {more} is measured" in text
+    assert "θ = 0.8 permits +80 % at any rate" in text
+    assert f"best periodic | {rate} | +{100 * (found.clock.cost / base - 1):.1f} %" in text
+    assert {int(one.sends["actuator"].sum()) for one in (run, run.versus)} == {73}
+    assert "In 300 samples, the controller sends 73 packets to the valve" in text
+    assert run.versus.cost / run.cost == pytest.approx(found.clock.cost / found.cost.value, rel=0.1)
+    assert "taciturn simulate pid-tank --set theta=0.8 --steps 300 --seed 2 --versus periodic" in text.replace(
+        "\\ ", ""
+    )
+
+
+def test_the_readme_states_what_send_on_delta_costs_at_the_same_rate() -> None:
+    """With its threshold at the sensor, which costs less than at the actuator, tuned to the rate of the other row."""
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    problem = load("pid-tank").changed({"kind": "send-on-delta", "theta": None, "delta": 0.0602, "link": "sensor"})
+    found = taciturn.evaluate(problem, steps=10**6)
+    base, proven = found.cost_all_time, found.cost_bound
+    assert base is not None
+    assert proven is not None
+    assert found.rates["sensor"].value == pytest.approx(0.214, abs=1e-3)
+    more, most = 100 * (found.cost.value / base - 1), 100 * (proven / base - 1)
+    assert f"send-on-delta | 21.4 % | +{more:.1f} % (proven +{most:.0f} %)" in text
 
 
 def test_a_benchmark_runs_the_command_that_it_names() -> None:
