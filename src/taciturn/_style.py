@@ -108,25 +108,26 @@ TONES = (0.0, 0.5, 0.25, 0.75)
 
 POLICIES: tuple[Thing | int, ...] = ("policy", "held", 4, 3, 1)
 """Looks of several policies in turn; none is that of guarantees, certificates and periodic control."""
-KNOWN: Mapping[str, Thing] = {
-    "periodic": "periodic control", "periodic-schedule": "periodic control", "hold": "held", "model": "policy",
-}  # fmt: skip
+KNOWN: Mapping[str, Thing] = {"periodic control": "periodic control", "hold": "held", "model": "policy"}
 """Looks of policies of a kind, or with an actuation, that figures know."""
 
 
 def policy_looks(described: Sequence[Sequence[object]]) -> list[Thing | int]:
-    """Return a look for each of several policies, which are described by words such as their kind and actuation.
+    """Return the looks of several policies, which are described by words such as their kind and actuation.
 
     Periodic control, a held input and an input from a model have the same look in all figures, whatever their order.
     The first policy with such a word has its look; the other policies have the looks that are left, in turn.
     """
     found: dict[int, Thing | int] = {}
     for word, thing in KNOWN.items():  # periodic control comes before its actuation
-        here = [index for index, words in enumerate(described) if word in words and index not in found]
-        found |= dict.fromkeys(here[:1] if thing not in found.values() else (), thing)
+        here = (index for index, words in enumerate(described) if word in words and index not in found)
+        first = next(here, None)
+        if first is not None:
+            found[first] = thing
     left = [one for one in POLICIES if one not in found.values()]
     others = [index for index in range(len(described)) if index not in found]
-    found |= {index: left[turn % len(left)] for turn, index in enumerate(others)}
+    for turn, index in enumerate(others):
+        found[index] = left[turn % len(left)]
     return [found[index] for index in range(len(described))]
 
 

@@ -53,14 +53,13 @@ from taciturn.study.evaluate import evaluate
 from taciturn.study.evaluation import Evaluation, TimeUnit, Unit, columns_of, cost_unit, rate_unit, withdrawn_text
 from taciturn.study.sentences import THAN, more_text, percent_above, shares_text
 from taciturn_studies.goal import RateGoal
-from taciturn_studies.periodic_links import LinkClocks, clocks_document, clocks_or_reason
+from taciturn_studies.periodic_links import CLOCKS, LinkClocks, clocks_document, clocks_or_reason
 from taciturn_studies.tune import Tuned, tune
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGE = 0.05  # largest correction for the rate, as a share of the cost
-CLOCKS = ("periodic", "periodic-schedule")  # kinds of periodic control
 PERIODIC = "periodic control"
 SPAN = 2.0  # standard errors of a bar
 LEAST = 1.1  # smallest height of the rows of a figure, in inches
@@ -574,17 +573,12 @@ class Comparison(Tabular):
         costs, errors = [one.cost.value for one in listed], [SPAN * one.cost.standard_error for one in listed]
         things: list[Thing] = ["periodic control" if one.policy in CLOCKS else "policy" for one in listed]
         marks: dict[Thing, str] = {"policy": "cost ± 2 standard errors", "periodic control": PERIODIC}
-        series = [
-            Series(
-                *([values[row] for row, own in enumerate(things) if own == thing] for values in (costs, rows)),
-                label,
-                "bars",
-                [errors[row] for row, own in enumerate(things) if own == thing],
-                thing,
-            )
-            for thing, label in marks.items()
-            if thing in things
-        ]
+        series = list[Series]()
+        for thing, label in marks.items():
+            own = [row for row, other in enumerate(things) if other == thing]
+            if own:
+                y, spread = [rows[row] for row in own], [errors[row] for row in own]
+                series.append(Series([costs[row] for row in own], y, label, "bars", spread, thing))
         bounds = [(row, one.cost_bound) for row, one in zip(rows, listed, strict=True) if one.cost_bound is not None]
         every = [] if self.cost_all_time is None else [self.cost_all_time]
         timed = [self.clocks.cost] if isinstance(self.clocks, LinkClocks) else []

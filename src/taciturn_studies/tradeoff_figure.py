@@ -31,6 +31,7 @@ from taciturn.extend import (
 from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.periodic import UNSTABLE
 from taciturn.study.sentences import compared_text, more_text
+from taciturn_studies.periodic_links import CLOCKS
 
 if TYPE_CHECKING:
     from taciturn_studies.tradeoff import Point, Tradeoff
@@ -196,7 +197,9 @@ def _policies(found: Tradeoff, told: Point | None) -> Iterator[Series]:
         for points in families
     ]
     kinds = [points[0].evaluation.policy for points in families]
-    looks = policy_looks([[kind, *words] for kind, words in zip(kinds, varied, strict=True)])
+    looks = policy_looks(
+        [["periodic control" if kind in CLOCKS else kind, *words] for kind, words in zip(kinds, varied, strict=True)]
+    )
     for points, kind, words, look in zip(families, kinds, varied, looks, strict=True):
         yield Series(
             [_traffic(point.evaluation) for point in points],

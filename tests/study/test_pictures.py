@@ -295,7 +295,7 @@ def test_held_and_predicted_inputs_have_one_colour_in_any_order() -> None:
     """Periodic control is amber, and the first of the other policies is blue."""
     assert policy_looks([["excess", "model"], ["excess", "hold"]]) == ["policy", "held"]
     assert policy_looks([["excess", "hold"], ["excess", "model"]]) == ["held", "policy"]
-    assert policy_looks([["periodic", "hold"], ["excess"], ["lqg"]]) == ["periodic control", "policy", "held"]
+    assert policy_looks([["periodic control", "hold"], ["excess"], ["lqg"]]) == ["periodic control", "policy", "held"]
     assert len(set(policy_looks([["hold", 1], ["hold", 2], ["hold", 3]]))) == 3
 
 

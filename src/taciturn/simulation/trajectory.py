@@ -286,7 +286,7 @@ def _panels(path: Trajectory, paths: Sequence[Trajectory], brief: bool) -> list[
     kept = [links[0], links[-1]] if brief and len(links) > ROWS else links
     triggers = [_trigger(path, link, kept, own) for link in kept]
     if len(kept) < len(links):
-        triggers[0] = replace(triggers[0], note=f"{len(kept)} of {len(links)} triggers")
+        triggers[0] = replace(triggers[0], note=f"{len(kept)} of {number_of(len(links), 'trigger')}")
     found += [Panel(lanes=lanes, step=path.step), *triggers]
     packets = number_of(sum(int(sent.sum()) for sent in path.sends.values()), "packet")
     above = path.cost / first.cost - 1 if first.cost > 0 else 0.0
@@ -302,7 +302,10 @@ def _looks(paths: Sequence[Trajectory]) -> list[Thing | int]:
     differ = len({path.predicts for path in paths}) > 1 and all(path.triggers for path in paths)
     words = [["model" if path.predicts else "hold"] if differ else list[str]() for path in paths]
     return policy_looks(
-        [words[0], *(own if path.triggers else ["periodic"] for own, path in zip(words[1:], paths[1:], strict=True))]
+        [
+            words[0],
+            *(own if path.triggers else ["periodic control"] for own, path in zip(words[1:], paths[1:], strict=True)),
+        ]
     )
 
 
