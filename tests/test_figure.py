@@ -125,6 +125,16 @@ def test_notes_of_points_are_nearer_to_their_own_point_than_to_others() -> None:
         assert np.argmin(np.linalg.norm(places - middle, axis=1)) == k
 
 
+@pytest.mark.parametrize("style", STYLES)
+def test_the_note_of_a_point_with_a_ring_is_written_among_many_curves(style: StyleName) -> None:
+    """Where no place is free, across them; the notes of other points are left out there."""
+    x = [0.02 * k for k in range(51)]
+    curve = Series([0.4, 0.5, 0.6], [0.5] * 3, "a", thing="policy", notes=["θ = 0.1", "θ = 0.208", "θ = 0.3"])
+    many = [Series(x, [0.05 * k] * 51, thing=k) for k in range(21)]
+    (axis,) = drawn([Panel([curve, *many, Series([0.5], [0.5], "", "ring")], height=1.5)], style=style).axes
+    assert [text.get_text() for text in axis.texts if "θ" in text.get_text()] == ["θ = 0.208"]
+
+
 def test_a_title_has_the_width_of_its_figure() -> None:
     """It begins at the left edge, and its lines have nearly equal lengths; a percent sign stays with its number."""
     title = "26.7 % of the packets, 1.00 % more cost than every sample, at most 3.81 % proven, and more than that"

@@ -72,6 +72,7 @@ class Series:
     thing: Thing | int = 0
     faint: bool = False  # whether it is secondary, such as the estimate of a state
     notes: Sequence[str] = ()  # beside its points, such as the parameter of each; those without room are left out
+    hollow: bool = False  # whether its marks are outlines, such as those of a second bound of one thing
     signal: int | None = None  # its number among several signals of the thing, which differ in dash and tone
 
 
@@ -131,14 +132,15 @@ class Above:
     def label(self, cost: str, per: str) -> str:
         """Return the label of the axis, which says whether the axis is bent."""
         bent = "" if self.bend is None else "\n(axis: logarithmic far from 0)"
-        return f"{cost} above every sample, {self.base:.4g} {per}{bent}"
+        return f"extra {cost} (every sample: {self.base:.4g} {per}){bent}"
 
 
 @dataclass(frozen=True)
 class Panel:
     """A pair of axes and its contents. The axis y shows ``names`` at 0, 1, ….
 
-    ``notes`` are on the right of the names, below their heading ``noted``. ``height`` is in inches of a figure for a
+    ``notes`` are on the right of the names, below their heading ``noted``. The rows ``zeros`` have only zeros, which a
+    logarithmic axis cannot show; they have a 0 at its left end. ``height`` is in inches of a figure for a
     screen; a panel with names or lanes has the height of its rows.
     """
 
@@ -149,6 +151,7 @@ class Panel:
     names: Sequence[str] = ()
     notes: Sequence[str] = ()
     noted: str = ""
+    zeros: Sequence[int] = ()
     xlim: tuple[float | None, float | None] | None = None
     ylim: tuple[float | None, float | None] | None = None
     xlog: bool = False
@@ -353,6 +356,11 @@ def _fill(axis: Any, panel: Panel, style: Style) -> None:
     for row, note in enumerate(panel.notes):
         _note(axis, row, note, style)
     _note(axis, len(panel.names) - 0.5, panel.noted, style)
+    for row in panel.zeros:
+        axis.annotate(
+            "0", (0.0, row), (4, 0), axis.get_yaxis_transform(), "offset points", va="center",
+            color=style.hues["ink"], fontsize=0.9 * style.letters,
+        )  # fmt: skip
 
 
 def _note(axis: Any, row: float, note: str, style: Style) -> None:
@@ -439,6 +447,7 @@ def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
     size = (3.2 * style.line + 1.0) * (0.6 if series.faint else 1.0)
     filled = "o" if look.marker in ("", "|", "x") else look.marker  # those of lanes have no area
     marks: Any = {"marker": filled, "markersize": size, "markeredgewidth": 0.0, "color": color}
+    marks |= {"markerfacecolor": style.background, "markeredgewidth": 0.8 * style.line} if series.hollow else {}
     error: Any = None if series.error is None or not any(series.error) else series.error
     bars: Any = {"ecolor": color, "elinewidth": 0.8 * style.line, "capsize": 1.6 * style.line, "capthick": style.line}
     if series.curve == "steps":
@@ -467,7 +476,7 @@ def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
 
 
 def _note_points(axis: Any, panel: Panel, style: Style) -> None:
-    """Write the notes of points next to them; those without room are left out."""
+    """Write the notes of points next to them; those without room are left out, except those of points with a ring."""
     letters, pixels = 0.8 * style.letters, axis.figure.dpi / 72
 
     def spots(points: Sequence[tuple[float, float]]) -> list[Spot]:
@@ -477,10 +486,12 @@ def _note_points(axis: Any, panel: Panel, style: Style) -> None:
     drawn = [(one, along(spots([*zip(one.x, one.y, strict=True)]), letters / 4)) for one in lines]
     levels = [[(x, level.at) for x in axis.get_xlim()] for level in panel.levels if level.axis == "y"]
     taken = [spot for level in levels for spot in along(spots(level), letters / 4)]
+    written = list[Spot]()
     for text in axis.texts:
         if text.get_text():
             box = text.get_window_extent()
-            taken += covered(box.x0 / pixels, box.y0 / pixels, box.width / pixels, box.height / pixels)
+            written += covered(box.x0 / pixels, box.y0 / pixels, box.width / pixels, box.height / pixels)
+    taken += written
     rings = {(x, y) for one in panel.series if one.curve == "ring" for x, y in zip(one.x, one.y, strict=True)}
     frame = axis.get_window_extent()
     inside = frame.x0 / pixels, frame.y0 / pixels, frame.x1 / pixels, frame.y1 / pixels
@@ -491,10 +502,18 @@ def _note_points(axis: Any, panel: Panel, style: Style) -> None:
         others = [spot for one, curve in drawn if one is not series for spot in curve]
         for index in sorted(range(len(series.notes)), key=lambda one: listed[one] not in rings):
             at, note = listed[index], series.notes[index]
+            if not note:
+                continue
             size, mark = (text_width(note, letters, style), 0.75 * letters), 1.9 * style.line if at in rings else 0.0
-            found = place_beside(points, index, size, inside, (own, others, taken), letters, mark)
+            ways = [(points, index, (own, others, taken))]
+            if at in rings:  # its note is written in any case: across curves, then also across levels
+                alone = [points[index]]
+                ways += [(alone, 0, (one, [], two)) for one, two in ((own, taken), ([], taken), ([], written))]
+            places = (place_beside(those, one, size, inside, way, letters, mark) for those, one, way in ways)
+            found = next((place for place in places if place is not None), None)
             if found is not None:
                 left, below, near = found
+                written += covered(left, below, *size)
                 taken += covered(left, below, *size)
                 moved = left - points[index][0], below - points[index][1]
                 line: Any = {"arrowstyle": "-", "color": color, "linewidth": 0.4 * style.line, "shrinkA": 0}

@@ -1,8 +1,9 @@
 """Style of all figures: a colour and a marker for each kind of curve, the fonts, and the class of the figures.
 
-A *thing* has one colour and one mark in every figure (``THINGS``): the policy, sending every sample, periodic control,
-the guarantee, a certificate, packets that are delivered, dropped or late, triggers and their thresholds, set-points,
-limits, disturbances, the lower bound of all schedules, and the region that no schedule reaches. Signals without a
+A *thing* has one colour and one mark in every figure (``THINGS``): the policy, a policy whose actuator holds its input
+(next to one that predicts), sending every sample, periodic control, the guarantee, a certificate, packets that are
+delivered, dropped or late, triggers and their thresholds, set-points, limits, disturbances, the lower bound of all
+schedules, and the region that no schedule reaches. Signals without a
 meaning of their own, such as the entries of a state, are those of ``SIGNALS`` in turn. Several signals of one thing,
 such as the outputs under periodic control, have its colour in a tone and a dash of their own. A ``Look`` is a colour, a
 dash and a marker, so that a figure can be read in grey print and by colour-blind readers; the hues are those of Okabe
@@ -23,7 +24,7 @@ settings outside of these figures.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
@@ -50,8 +51,8 @@ Hue = Literal[
 Marker = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|", "x", ">", ""]
 Dash: TypeAlias = tuple[float, ...]
 Thing = Literal[
-    "policy", "every sample", "periodic control", "guarantee", "certificate", "lower bound", "unreachable", "delivered",
-    "dropped", "late", "trigger", "threshold", "set-point", "limits", "disturbance",
+    "policy", "held", "every sample", "periodic control", "guarantee", "certificate", "lower bound", "unreachable",
+    "delivered", "dropped", "late", "trigger", "threshold", "set-point", "limits", "disturbance",
 ]  # fmt: skip
 StyleName = Literal["light", "dark", "paper", "paper-wide"]
 _EMBEDDED: Mapping[str, Any] = {
@@ -74,6 +75,7 @@ class Look:
 
 THINGS: Mapping[Thing, Look] = {
     "policy": Look("blue", SOLID, "o", 1.15),
+    "held": Look("olive", (6.0, 1.4, 1.2, 1.4), "P"),
     "every sample": Look("muted", (7.0, 2.0), "D"),
     "periodic control": Look("amber", DASHED, "s"),
     "guarantee": Look("green", DOTTED, "^", 1.3),
@@ -91,20 +93,42 @@ THINGS: Mapping[Thing, Look] = {
 }
 SIGNALS = (
     Look("blue"),
-    Look("amber", (6.0, 1.4), "s"),
-    Look("green", (6.0, 1.4, 1.2, 1.4), "^"),
-    Look("purple", (2.2, 1.2), "D"),
-    Look("sky", (9.0, 1.4), "v"),
+    Look("purple", (6.0, 1.4), "D"),
     Look("olive", (1.2, 1.0), "P"),
+    Look("sky", (9.0, 1.4), "v"),
     Look("red", (6.0, 1.4, 1.2, 1.4, 1.2, 1.4), "X"),
-    Look("muted", SOLID, "*"),
+    Look("green", (6.0, 1.4, 1.2, 1.4), "^"),
+    Look("ink", (2.2, 1.2), "*"),
+    Look("muted", SOLID, ">"),
 )
+"""Signals in turn. None has the colour of periodic control."""
 
 TONES = (0.0, 0.5, 0.25, 0.75)
 """How much ink is in the colour of each of several signals of one thing."""
 
-POLICIES: tuple[Thing | int, ...] = ("policy", 5, 6, 4, 3)
-"""Looks of several policies in turn; the first ones are not those of guarantees, certificates and periodic control."""
+POLICIES: tuple[Thing | int, ...] = ("policy", "held", 4, 3, 1)
+"""Looks of several policies in turn; none is that of guarantees, certificates and periodic control."""
+KNOWN: Mapping[str, Thing] = {"periodic control": "periodic control", "hold": "held", "model": "policy"}
+"""Looks of policies of a kind, or with an actuation, that figures know."""
+
+
+def policy_looks(described: Sequence[Sequence[object]]) -> list[Thing | int]:
+    """Return the looks of several policies, which are described by words such as their kind and actuation.
+
+    Periodic control, a held input and an input from a model have the same look in all figures, whatever their order.
+    The first policy with such a word has its look; the other policies have the looks that are left, in turn.
+    """
+    found: dict[int, Thing | int] = {}
+    for word, thing in KNOWN.items():  # periodic control comes before its actuation
+        here = (index for index, words in enumerate(described) if word in words and index not in found)
+        first = next(here, None)
+        if first is not None:
+            found[first] = thing
+    left = [one for one in POLICIES if one not in found.values()]
+    others = [index for index in range(len(described)) if index not in found]
+    for turn, index in enumerate(others):
+        found[index] = left[turn % len(left)]
+    return [found[index] for index in range(len(described))]
 
 
 @dataclass(frozen=True, eq=False)

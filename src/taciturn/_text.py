@@ -103,6 +103,26 @@ def folded(name: str, longest: int) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
+_GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "theta": "θ", "lambda": "λ", "mu": "μ",
+    "rho": "ρ", "sigma": "σ", "tau": "τ",
+}  # fmt: skip
+
+
+_SPELLED = re.compile(rf"\b({'|'.join(_GREEK)})\b(?=$| = )")
+
+
+def symbol(text: str) -> str:
+    """Write parameters as figures do: alone and before a value, the name of a Greek letter is the letter."""
+    return _SPELLED.sub(lambda found: _GREEK[found[1]], text)
+
+
+def power_text(value: float) -> str:
+    """Write a number with two digits for a figure; a small or large one has a power of ten, as a formula."""
+    lead, _, power = f"{value:.2g}".partition("e")
+    return f"${lead}{{\\times}}10^{{{int(power)}}}$" if power else lead
+
+
 def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up: int = 0, signed: bool = False) -> str:
     """Write a fraction, such as 0.25, as a percentage.
 

@@ -72,15 +72,16 @@ from taciturn._scipy import crossing as crossing
 from taciturn._scipy import least_squares as least_squares
 from taciturn._scipy import normal_quantile as normal_quantile
 from taciturn._scipy import sobol as sobol
-from taciturn._style import POLICIES as POLICIES
 from taciturn._style import StyleName as StyleName
 from taciturn._style import Thing as Thing
 from taciturn._style import find_style as find_style
+from taciturn._style import policy_looks as policy_looks
 from taciturn._text import link_names as link_names
 from taciturn._text import number_of as number_of
 from taciturn._text import pairs_text as pairs_text
 from taciturn._text import per_unit as per_unit
 from taciturn._text import percent as percent
+from taciturn._text import symbol as symbol
 from taciturn._text import table_text as table_text
 from taciturn._text import width as width
 from taciturn._text import wrapped_text as wrapped_text

@@ -223,12 +223,12 @@ def _ratios(found: Certificates) -> list[Panel]:
         value, every = row.value, row.every_sample
         if value is None or every is None or not 0 < every < np.inf:
             continue
-        ratio = value / every
         if row.label == "decay":
             if not 0 < value < 1 or not every < 1:
                 continue
-            ratio = float(np.log(every) / np.log(value))
-        rows.append(("time constant" if row.label == "decay" else row.label, ratio, f"{_shown(value)}, {every:.4g}"))
+            value, every = float(-1 / np.log(value)), float(-1 / np.log(every))  # time constants, in steps
+        name = "time constant (steps)" if row.label == "decay" else row.label
+        rows.append((name, value / every, f"{_shown(value)}, {every:.4g}"))
     rows = rows[::-1]  # the first is the uppermost
     if not rows:
         return []

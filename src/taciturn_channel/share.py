@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 SchedulerName: TypeAlias = Literal["price", "largest", "round-robin", "tdma", "once-discard", "random-access"]
 SAME = 1e-9  # relative
+ALIKE = 0.02  # difference of rates, relative to the largest, up to which they are not drawn
 BESIDE = 0.14  # distance of two marks of one row from its middle, in rows
 
 
@@ -285,14 +286,16 @@ class Sharing(Tabular):
         return (table_text(["", f"sum of costs per {self.unit}", "extra cost"], _costs(self), 1), self.table())
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
-        """Plot the total cost next to its bounds, and the send rate of the loops of each problem.
+        """Plot the total cost next to its bounds, and the send rate of the loops of each problem if the rates differ.
 
         Args:
-            ax: existing axes to draw in instead of a new figure: two, one above the other.
+            ax: existing axes to draw in instead of a new figure: one, or two if the rates are drawn.
             figsize: width and height of a new figure, in inches.
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
-        return draw([self._costs(), self._rates()], ax, figsize, style)
+        rates = [rate for one in self.shares for rate in (one.rate.value, one.rate_periodic)]
+        alike = max(rates) - min(rates) <= ALIKE * max(rates)
+        return draw([self._costs(), *([] if alike else [self._rates()])], ax, figsize, style)
 
     def _costs(self) -> Panel:
         """Return the panel of the sum of the costs, and of the bounds and allocations to compare it with."""
@@ -313,7 +316,7 @@ class Sharing(Tabular):
                 Series([value], [float(row)], "", "bars", [error], thing)
                 for row, (_, value, error, thing) in enumerate(rows)
             ],
-            f"sum of costs per {self.unit}" if above is None else above.label("sum of costs", f"per {self.unit}"),
+            f"sum of costs per {self.unit}" if above is None else above.label("cost of all loops", f"per {self.unit}"),
             title=_verdict(self),
             names=[shown.get(name, name) for name, _, _, _ in rows],
             notes=[f"{value:.5g}  {more.get(name, '')}".rstrip().replace("-", "−") for name, value, _, _ in rows],

@@ -30,6 +30,7 @@ from taciturn.extend import (
     Size,
     Stages,
     StyleName,
+    Thing,
     answered_within,
     draw,
     in_notebook,
@@ -52,13 +53,14 @@ from taciturn.study.evaluate import evaluate
 from taciturn.study.evaluation import Evaluation, TimeUnit, Unit, columns_of, cost_unit, rate_unit, withdrawn_text
 from taciturn.study.sentences import THAN, more_text, percent_above, shares_text
 from taciturn_studies.goal import RateGoal
-from taciturn_studies.periodic_links import LinkClocks, clocks_document, clocks_or_reason
+from taciturn_studies.periodic_links import CLOCKS, LinkClocks, clocks_document, clocks_or_reason
 from taciturn_studies.tune import Tuned, tune
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGE = 0.05  # largest correction for the rate, as a share of the cost
+PERIODIC = "periodic control"
 SPAN = 2.0  # standard errors of a bar
 LEAST = 1.1  # smallest height of the rows of a figure, in inches
 CORRECTED = "each cost is corrected for the difference of the measured rate"
@@ -407,8 +409,8 @@ def _notes(found: Comparison) -> Iterator[str]:
             yield f"{one.name}: {(shared + notes).removesuffix('; ')}"
 
 
-def _verdict(found: Comparison) -> Iterator[str]:
-    """Yield the policy with the least cost, and the costs of the next and the last policy."""
+def _verdict(found: Comparison, mark: str = "{}") -> Iterator[str]:
+    """Yield the policy with the least cost, and the costs of the next and the last policy. ``mark`` formats names."""
     (first, *others), base = found.ranking, found.cost_all_time
     at = f"at {'the traffic ' if found.of == 'traffic' else ''}{found.level}"
 
@@ -419,10 +421,10 @@ def _verdict(found: Comparison) -> Iterator[str]:
 
     alike = [one for one in others if one.above.value <= ALIKE * one.above.standard_error]
     if alike:
-        names = " and ".join(one.name for one in (first, *alike))
+        names = " and ".join(mark.format(one.name) for one in (first, *alike))
         yield f"{names} cost the same {at}, within the standard errors: {costs(first)}"
     else:
-        yield f"{first.name} costs least {at}: {costs(first)}"
+        yield f"{mark.format(first.name)} costs least {at}: {costs(first)}"
     left = [one for one in others if one not in alike]
     if left:
         yield "; ".join(f"{one.name}: {costs(one)}" for one in (left[:1] + left[1:][-1:]))
@@ -569,7 +571,14 @@ class Comparison(Tabular):
         listed, per = self.ranking[::-1], per_unit(self.unit)  # the first is the uppermost
         rows = [float(row) for row in range(len(listed))]
         costs, errors = [one.cost.value for one in listed], [SPAN * one.cost.standard_error for one in listed]
-        series = [Series(costs, rows, "cost ± 2 standard errors", "bars", errors, "policy")]
+        things: list[Thing] = ["periodic control" if one.policy in CLOCKS else "policy" for one in listed]
+        marks: dict[Thing, str] = {"policy": "cost ± 2 standard errors", "periodic control": PERIODIC}
+        series = list[Series]()
+        for thing, label in marks.items():
+            own = [row for row, other in enumerate(things) if other == thing]
+            if own:
+                y, spread = [rows[row] for row in own], [errors[row] for row in own]
+                series.append(Series([costs[row] for row in own], y, label, "bars", spread, thing))
         bounds = [(row, one.cost_bound) for row, one in zip(rows, listed, strict=True) if one.cost_bound is not None]
         every = [] if self.cost_all_time is None else [self.cost_all_time]
         timed = [self.clocks.cost] if isinstance(self.clocks, LinkClocks) else []
@@ -577,19 +586,26 @@ class Comparison(Tabular):
         series += [Series(x, y, "guarantee", "points", thing="guarantee")] if bounds else []
         ends = [-0.5, len(rows) - 0.5]
         series += [Series([cost] * 2, ends, "every sample", thing="every sample") for cost in every]
-        series += [Series([cost] * 2, ends, "periodic control", thing="periodic control") for cost in timed]
+        series += [Series([cost] * 2, ends, PERIODIC, thing="periodic control") for cost in timed]
         base = every[0] if every and every[0] > 0 else None
         axis = None if base is None else Above.of(base, costs, [*x, *timed])
         return Panel(
             series,
             f"cost {per}" if axis is None else axis.label("cost", per),
-            title=self.verdict[0],
+            title=next(_verdict(self, "“{}”")),
             names=[one.name for one in listed],
-            notes=[_difference(one) or "least" for one in listed],
-            noted="above the least",
+            notes=[_excess(one, base) for one in listed],
             xabove=axis,
             row=max(ROW, LEAST / len(listed)),
         )
+
+
+def _excess(one: Contestant, base: float | None) -> str:
+    """Write for a figure by how much a cost exceeds the least one, in percent of the cost of every sample if known."""
+    if not _difference(one):
+        return "least"
+    share = None if base is None else one.above.scaled(1 / base)
+    return f"least + {one.above if share is None else percent(share.value, error=share.standard_error)}"
 
 
 def _difference(one: Contestant) -> str:

@@ -33,6 +33,7 @@ from taciturn.study.periodic import OF_A_DESIGN, ClockPoint, beside, lower_hull
 from taciturn.study.timed_links import TimedLinks, modes_of
 
 PERIODS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64)
+CLOCKS = ("periodic", "periodic-schedule")  # kinds of periodic control
 EQUAL = 16  # common periods of all links that are tried, up to so many steps
 AROUND = (1.0, 1.25, 0.8, 1.6, 0.6)  # traffics, relative to the requested one, at which timings are sought
 SAME = 1e-9  # relative

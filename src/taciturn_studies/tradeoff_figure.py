@@ -1,5 +1,5 @@
 """Figure of a trade-off: cost against rate; for several links, cost against traffic above the links' shares, if these
-differ.
+change over the points.
 
 The axis of costs has percentages above the cost of sending every sample. It holds the policy, sending every sample,
 and at each rate periodic control, the guarantee and the certificate; if these are far from the policy, the axis bends
@@ -14,10 +14,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn.extend import POLICIES, Above, Band, Curve, Level, Panel, Series, Thing, link_names, per_unit, percent
+from taciturn.extend import (
+    Above,
+    Band,
+    Curve,
+    Level,
+    Panel,
+    Series,
+    Thing,
+    link_names,
+    per_unit,
+    percent,
+    policy_looks,
+    symbol,
+)
 from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.periodic import UNSTABLE
 from taciturn.study.sentences import compared_text, more_text
+from taciturn_studies.periodic_links import CLOCKS
 
 if TYPE_CHECKING:
     from taciturn_studies.tradeoff import Point, Tradeoff
@@ -27,7 +41,7 @@ BELOW, UNDER, ABOVE = 0.15, 0.08, 0.04  # room below costs with and without a re
 WIDE = 30.0  # ratio of the largest and the smallest rate above which the axis of rates is logarithmic
 LITTLE = 0.05  # extra cost, relative to that of sending every sample, of the point in the title
 STRIP = 1.0  # height of the shares of the links, in inches
-EQUAL = 10.0  # difference of the shares of the links, in percent, up to which they are not shown
+EQUAL = 10.0  # change of the share of a link over the points, in percent, up to which the shares are not shown
 
 
 def panels_of(found: Tradeoff) -> list[Panel]:
@@ -41,7 +55,8 @@ def panels_of(found: Tradeoff) -> list[Panel]:
     shared: dict[str, Any] = {"xlog": wide, "xlim": None if wide else limits}
     label = _label(found, links)
     parts = _parts(answers, links)
-    if all(max(one) - min(one) <= EQUAL for one in parts):
+    own = list(zip(*parts[: len(answers)], strict=True))  # of each link, at the points alone
+    if all(max(one) - min(one) <= EQUAL for one in own):
         return [_costs(found, label, shared)]
     return [_costs(found, "", shared), _shares(answers, parts, links, label, shared)]
 
@@ -79,9 +94,9 @@ def _costs(found: Tradeoff, label: str, shared: dict[str, Any]) -> Panel:
     answers = [point.evaluation for point in found.points]
     base = answers[0].cost_all_time if found.one_base else None
     every, pace = [] if base is None else [base], _pace(answers[0])
-    series = [*_policies(found), *_periodic(found), *_bounds(found)]
-    series += [Series([pace], every, "", "points", thing="every sample")] if pace is not None and every else []
     told = _told(found)
+    series = [*_policies(found, told), *_periodic(found), *_bounds(found)]
+    series += [Series([pace], every, "", "points", thing="every sample")] if pace is not None and every else []
     here = [] if told is None else [(_traffic(told.evaluation), told.evaluation.cost.value)]
     series += [Series([x], [y], "", "ring", thing="delivered") for x, y in here]
     near = [one.cost.value for one in answers]
@@ -167,24 +182,38 @@ def _lead(found: Tradeoff) -> str:
     return next((name for name in names if all(isinstance(cell[name], int | float) for cell in cells)), names[0])
 
 
-def _policies(found: Tradeoff) -> Iterator[Series]:
-    """Yield the costs of the policies, with the value of the parameter at each point."""
+def _policies(found: Tradeoff, told: Point | None) -> Iterator[Series]:
+    """Yield the costs of the policies, with the value of the parameter at each point.
+
+    Several policies have it only at the point of the title, where it has the parameter's name too.
+    """
     families, lead = _families(found), _lead(found)
-    for index, points in enumerate(families):
-        words = [
-            value if isinstance(value, str) else f"{key} = {value}"
+    varied = [
+        [
+            value if isinstance(value, str) else f"{symbol(key)} = {value}"
             for key, value in points[0].values.items()
             if key != lead and any(str(point.values[key]) != str(value) for point in found.points)
         ]
-        kind = points[0].evaluation.policy
+        for points in families
+    ]
+    kinds = [points[0].evaluation.policy for points in families]
+    looks = policy_looks(
+        [["periodic control" if kind in CLOCKS else kind, *words] for kind, words in zip(kinds, varied, strict=True)]
+    )
+    for points, kind, words, look in zip(families, kinds, varied, looks, strict=True):
         yield Series(
             [_traffic(point.evaluation) for point in points],
             [point.evaluation.cost.value for point in points],
-            f"this policy ({kind}), by {lead}" if len(families) == 1 else ", ".join([kind, *words]),
+            f"this policy ({kind}), by {symbol(lead)}" if len(families) == 1 else ", ".join([kind, *words]),
             error=[point.evaluation.cost.standard_error for point in points],
             curve=_connected(found),
-            thing=POLICIES[index % len(POLICIES)],
-            notes=[str(point.values[lead]) for point in points] if len(families) == 1 else (),
+            thing=look,
+            notes=[
+                f"{symbol(lead)} = {point.values[lead]}"
+                if point is told
+                else str(point.values[lead]) * (len(families) == 1)
+                for point in points
+            ],
         )
 
 

@@ -35,6 +35,7 @@ from taciturn.extend import (
     number_of,
     per_unit,
     percent,
+    symbol,
 )
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
@@ -538,7 +539,7 @@ class Tuned(Tabular):
             _answer(value, self.goal.of(found), "answer"),
         ]
         cost = cost_text(found, THAN)
-        title = f"{self.parameter.name} = {value:.4g}: {packets_text(found.rates, found)}, {cost}"
+        title = f"{symbol(self.parameter.name)} = {value:.4g}: {packets_text(found.rates, found)}, {cost}"
         every = [] if found.cost_all_time is None else [Level(found.cost_all_time, "every sample")]
         first = self.goal.limits_cost  # the panel that has the costs
         budget = Level(self.goal.budget, f"budget {self.goal.budget:.4g}", "threshold")
@@ -546,7 +547,7 @@ class Tuned(Tabular):
             Panel(limited, "", self.goal.axis(found), title, levels=[*(every if first else ()), budget]),
             Panel(
                 [_searched(values, other), _answer(value, there)],
-                self.parameter.name,
+                symbol(self.parameter.name),
                 label,
                 levels=() if first else every,
             ),
@@ -646,7 +647,7 @@ class TunedPeriod(Tabular):
         found = [one.evaluation for one in self.tried]
         costs, base = [one.cost.value for one in found], [one.cost_all_time for one in found]
         errors, name = [one.cost.standard_error for one in found], self.best.parameter.name
-        notes = [f"{name} = {one.parameter.beside(None)}" for one in self.tried]
+        notes = [f"{symbol(name)} = {one.parameter.beside(None)}" for one in self.tried]
         series = [Series(periods, costs, self.best.evaluation.policy, error=errors, thing="policy", notes=notes)]
         every = [(x, y) for x, y in zip(periods, base, strict=True) if y is not None]
         if every:

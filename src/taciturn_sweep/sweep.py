@@ -22,16 +22,18 @@ import numpy as np
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import (
     HEIGHT,
-    POLICIES,
     Panel,
     Progress,
     Series,
     Size,
     StyleName,
+    Thing,
     answered_within,
     draw,
     in_notebook,
     number_of,
+    policy_looks,
+    symbol,
     table_text,
 )
 from taciturn.model.estimate import Estimate
@@ -414,12 +416,11 @@ def panels_of(found: xarray.Dataset) -> list[Panel]:
     values = [float(one) for one in found[lead].values] if numeric else [float(one) for one in range(sizes[lead])]
     wide = min(values) > 0 and max(values) > WIDE * min(values)
     rates = [str(name) for name in found if str(name).startswith("rate_") and f"{name}_standard_error" in found]
+    cells = list(itertools.product(*(range(sizes[other]) for other in others)))
+    looks = policy_looks([[found[other].values[k] for other, k in zip(others, cell, strict=True)] for cell in cells])
     panels = list[Panel]()
     for name in ("cost", *rates):
-        series = [
-            _curve(found, cell, name, lead, values, number)
-            for number, cell in enumerate(itertools.product(*(range(sizes[other]) for other in others)))
-        ]
+        series = [_curve(found, cell, name, lead, values, look) for cell, look in zip(cells, looks, strict=True)]
         unit = str(found[name].attrs.get("units", name))
         label = unit if name == "cost" or len(rates) == 1 else f"{name.removeprefix('rate_')}: {unit}"
         panels.append(
@@ -427,26 +428,26 @@ def panels_of(found: xarray.Dataset) -> list[Panel]:
                 series if name == "cost" else [replace(one, label="") for one in series],
                 "",
                 label,
-                "" if panels else next(_verdict(found)).partition("; largest")[0],
+                "" if panels else symbol(next(_verdict(found)).partition("; largest")[0]),
                 xlog=wide,
                 height=HEIGHT * (1.0 if name == "cost" else 0.5),
             )
         )
-    return [*panels[:-1], replace(panels[-1], xlabel=lead)]
+    return [*panels[:-1], replace(panels[-1], xlabel=symbol(lead))]
 
 
 def _curve(
-    found: xarray.Dataset, cell: tuple[int, ...], name: str, lead: str, values: Sequence[float], number: int
+    found: xarray.Dataset, cell: tuple[int, ...], name: str, lead: str, values: Sequence[float], look: Thing | int
 ) -> Series:
     """Return the curve of one cell of the other axes; cells without an answer are left out."""
     others = [str(other) for other in found.sizes if other != lead]
     one = found.isel(dict(zip(others, cell, strict=True)))
     y, error = one[name].values.tolist(), one[f"{name}_standard_error"].values.tolist()
     kept = [k for k, value in enumerate(y) if value == value]
-    words = [f"{other} = {one[other].item()}" for other in others]
+    words = [f"{symbol(other)} = {one[other].item()}" for other in others]
     return Series(
         [values[k] for k in kept], [y[k] for k in kept], ", ".join(words) or name, error=[error[k] for k in kept],
-        thing=POLICIES[number % len(POLICIES)],
+        thing=look,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from study.test_tune import MASSES, with_policy
 
 import taciturn
 from taciturn import Problem, ProblemError, compare
+from taciturn.extend import percent
 from taciturn_studies.compare import _at_rate as at_rate
 from taciturn_studies.compare import _present as present
 
@@ -154,9 +155,13 @@ def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     found = compare({"hold": MASSES, "clock": FEW["clock"]}, 0.3, standard_error=1e-2)
     (axis,) = found.plot().axes
     assert [label.get_text() for label in axis.get_yticklabels()] == ["clock", "hold"]
-    assert axis.get_title().replace("\n", " ") == found.verdict[0]
-    above = found.ranking[1].above
-    assert {"above the least", "least", str(above)} <= {text.get_text() for text in axis.texts}
+    assert axis.get_title().replace("\n", " ") == found.verdict[0].replace("hold", "“hold”", 1)
+    above, base = found.ranking[1].above, found.cost_all_time
+    assert base is not None
+    more = percent(above.value / base, error=above.standard_error / base)
+    assert {"least", f"least + {more}"} <= {text.get_text() for text in axis.texts}
+    shown = [mark.get_color() for mark in axis.get_lines() if len(mark.get_xdata()) == 1 and mark.get_marker() in "os"]
+    assert {"#0072b2", "#c27500"} <= {*shown}  # the clock is periodic control
     document: dict[str, Any] = json.loads(json.dumps(found.document(), allow_nan=False))
     assert [place["name"] for place in document["ranking"]] == ["hold", "clock"]
     assert document["ranking"][1]["parameter"]["value"] == [4, 3]

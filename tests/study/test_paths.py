@@ -234,6 +234,7 @@ def test_a_figure_for_a_column_of_a_journal_omits_estimates_and_triggers() -> No
     axes = path(TANKS, 100).plot(style="paper").axes
     assert labels(axes[0]) == ["level 1", "level 2"]
     assert [axis.get_ylabel().split("\n")[-1] for axis in axes[3:]] == ["level-1", "pump-2"]
+    assert "2 of 4 triggers" in [text.get_text() for text in axes[3].texts]
     assert "estimate" in labels(path("pid-tank", 100).plot(style="paper").axes[0])
 
 

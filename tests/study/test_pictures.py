@@ -23,7 +23,7 @@ from runtime.silent import build, problem_of, simulate, write_logs
 import taciturn
 from taciturn import cli
 from taciturn._figure import Above, Panel, Series, draw
-from taciturn._style import STYLES, StyleName
+from taciturn._style import STYLES, StyleName, policy_looks
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Violation, Violations
@@ -239,31 +239,64 @@ def test_the_title_of_a_tradeoff_speaks_of_the_point_in_the_ring() -> None:
     (told,) = [point for point in found.points if point.evaluation.cost.value == ring.get_ydata()[0]]
     assert axis.get_title().startswith(f"{share_text(told.evaluation.share)} of the packets, ")
     written = [text.get_text() for text in axis.texts]
-    assert {str(point.values["theta"]) for point in found.points} <= {*written}
+    others = {str(point.values["theta"]) for point in found.points if point is not told}
+    assert {*others, f"θ = {told.values['theta']}"} <= {*written}
     assert "no schedule of this controller (99.9 % confidence)" in written
     assert axis.get_ylabel().endswith("(axis: logarithmic far from 0)")
 
 
 def test_the_title_of_a_picture_says_its_result() -> None:
-    """The verdict of an evaluation; the parameter and the packets of an answer. A budget has its value."""
+    """The bound of an evaluation comes last; the parameter and the packets of an answer. A budget has its value."""
     found = made("evaluation")
-    assert found.plot().axes[0].get_title().replace("\n", " ") == found.verdict[0]
+    packets, extra, bound = found.verdict[0].split(", ")
+    told = f"{packets}, {extra.removesuffix(' than every sample')}; proven: {bound.removesuffix(' proven')} more"
+    assert found.plot().axes[0].get_title().replace("\n", " ") == told
     tuned = made("tuned").plot().axes[0]
-    assert tuned.get_title().startswith(f"theta = {made('tuned').parameter.value:.4g}: 30")
+    assert tuned.get_title().startswith(f"θ = {made('tuned').parameter.value:.4g}: 30")
     assert "budget 0.3" in [text.get_text() for text in tuned.texts]
 
 
-def test_equal_shares_of_the_links_are_not_drawn() -> None:
-    """Nearly equal ones neither; the label of the rates is then that of the costs."""
+def test_shares_of_the_links_are_drawn_if_they_change_over_the_points() -> None:
+    """Nearly constant ones are not, whatever those of every sample are; then the costs have the label of the rates."""
     found = made("trade-off of several links")
-    assert len(found.plot().axes) == 2
-    even = [
-        replace(point, evaluation=replace(one, prices={}, rates=dict.fromkeys(one.rates, one.rates["level-1"])))
-        for point in found.points
-        for one in (point.evaluation,)
-    ]
-    (costs,) = replace(found, points=tuple(even)).plot().axes
-    assert costs.get_xlabel() == "traffic per second: sends on all links"
+    (costs,) = found.plot().axes
+    assert costs.get_xlabel() == "traffic per second: price × sends on all links"
+    first, *others = found.points
+    dear = replace(first.evaluation, prices={"level-1": 100.0})
+    axes = replace(found, points=(replace(first, evaluation=dear), *others)).plot().axes
+    assert [axis.get_ylabel() for axis in axes[1:]] == ["share (%)"]
+
+
+def test_rates_that_all_loops_of_a_channel_have_are_not_drawn() -> None:
+    """Those of loops of one kind; if periodic control has another rate, they are."""
+    found = made("channel")
+    assert len(found.plot().axes) == 1
+    (share,) = found.shares
+    assert len(replace(found, shares=(replace(share, rate_periodic=2 * share.rate_periodic),)).plot().axes) == 2
+
+
+def test_probabilities_of_zero_are_at_the_axis_and_small_ones_are_powers_of_ten() -> None:
+    """A limit has a minus sign."""
+    (axis,) = made("violations").plot().axes
+    zeros = [text.xy for text in axis.texts if text.get_text() == "0"]
+    assert zeros == [(0.0, 1)]
+    assert axis.get_title() == "limits violated in $2{\\times}10^{-9}$ of the steps"
+    assert axis.get_yticklabels()[-1].get_text() == "−3 ≤ x1 ≤ 3"
+
+
+def test_only_one_of_two_guarantees_has_a_filled_marker() -> None:
+    """That for any rate."""
+    (axis, _) = made("evaluation").plot().axes
+    marks = [line for line in axis.get_lines() if line.get_marker() == "^"]
+    assert [line.get_markerfacecolor() == line.get_color() for line in marks] == [False, True]
+
+
+def test_held_and_predicted_inputs_have_one_colour_in_any_order() -> None:
+    """Periodic control is amber, and the first of the other policies is blue."""
+    assert policy_looks([["excess", "model"], ["excess", "hold"]]) == ["policy", "held"]
+    assert policy_looks([["excess", "hold"], ["excess", "model"]]) == ["held", "policy"]
+    assert policy_looks([["periodic control", "hold"], ["excess"], ["lqg"]]) == ["periodic control", "policy", "held"]
+    assert len(set(policy_looks([["hold", 1], ["hold", 2], ["hold", 3]]))) == 3
 
 
 def test_rates_at_which_periodic_control_is_unstable_are_shaded() -> None:

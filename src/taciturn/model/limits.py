@@ -7,6 +7,7 @@ for all limits together. They are simulated, or computed by importance splitting
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,8 +17,8 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen, set_fields
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
-from taciturn._style import POLICIES, StyleName
-from taciturn._text import number_of
+from taciturn._style import StyleName
+from taciturn._text import number_of, power_text
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.key import Rows, stated_as
@@ -25,6 +26,8 @@ from taciturn.model.result import SPLICED, Field, Result, plain_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_MINUS = re.compile(r"(?<!\w)-(?=[\d.])")  # a hyphen that is the sign of a number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,7 +164,7 @@ class Violations(Result):
         ]
 
     def panels(self) -> list[Panel]:
-        """Return a panel of a figure with the probabilities on a logarithmic axis. Zeros are omitted."""
+        """Return a panel of a figure with the probabilities on a logarithmic axis, which has a 0 at its left end."""
         found = [*self.by_limit().items()][::-1]  # the first is the uppermost
         shares: dict[str, list[Estimate]] = {
             "share of the steps": [one.per_step for _, one in found],
@@ -173,11 +176,12 @@ class Violations(Result):
             errors = [min(one.standard_error, 0.9 * one.value) for _, one in seen]  # an end of a bar has a logarithm
             if seen:
                 values, rows = [one.value for _, one in seen], [row for row, _ in seen]
-                series.append(Series(values, rows, label, "bars", errors, POLICIES[index]))
-        notes = [f"{one.per_step.value:.2g} of the steps" for _, one in found]
-        names = [name for name, _ in found]
-        title = f"limits violated in {self.total.per_step.value:.2g} of the steps"
-        return [Panel(series, "probability of a violation", "", title, names, notes, xlog=bool(series))]
+                series.append(Series(values, rows, label, "bars", errors, index))
+        notes = [f"{power_text(one.per_step.value)} of the steps" for _, one in found]
+        names = [_MINUS.sub("−", name) for name, _ in found]
+        title = f"limits violated in {power_text(self.total.per_step.value)} of the steps"
+        zeros = [row for row, (_, one) in enumerate(found) if max(one.per_step.value, one.within.value) == 0]
+        return [Panel(series, "probability of a violation", "", title, names, notes, xlog=bool(series), zeros=zeros)]
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
         """Draw the probability that each limit is violated, with its standard error."""

@@ -32,8 +32,8 @@ import numpy as np
 from taciturn._arrays import Array, Bits, choice, count, instance
 from taciturn._display import Displayed
 from taciturn._figure import Band, Curve, Lane, Level, Panel, Series, Side, Size, StyleName, draw
-from taciturn._style import POLICIES, Thing, find_style
-from taciturn._text import link_names, number_of, percent, table_text, width
+from taciturn._style import Thing, find_style, policy_looks
+from taciturn._text import link_names, number_of, percent, symbol, table_text, width
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop, close
 from taciturn.model.estimate import Estimate
@@ -162,7 +162,7 @@ class Trajectory(Tabular):
         The figure of two paths shows the triggers that both paths have; periodic control has none.
 
         For a column of a journal (``style="paper"``), the figure omits the estimates of several outputs and, of more
-        than two triggers, all but the first and the last.
+        than two triggers, all but the first and the last; it then says how many it shows.
         """
         paths = [self] if self.versus is None else [self, self.versus]
         brief = find_style(style).width < NARROW
@@ -256,7 +256,7 @@ class _Shown:
 def _panels(path: Trajectory, paths: Sequence[Trajectory], brief: bool) -> list[Panel]:
     """Return the panels of one of several paths, with equal axes and the triggers that all paths have."""
     found, first = list[Panel](), paths[0]
-    own: Thing | int = "policy" if path is first else POLICIES[1] if path.triggers else "periodic control"
+    own = _looks(paths)[0 if path is first else 1]
     thing = None if len(paths) == 1 else own  # in whose colour all signals are
     for what, shown in (("output", _outputs), ("disturbance", _disturbances), ("input", _inputs)):
         rows = [list(shown(one)) for one in paths]
@@ -283,15 +283,30 @@ def _panels(path: Trajectory, paths: Sequence[Trajectory], brief: bool) -> list[
         for link, delivered in path.delivered.items()
     ]
     links = [link for link in first.triggers if all(link in one.triggers for one in paths)]
-    links = [links[0], links[-1]] if brief and len(links) > ROWS else links
-    found += [Panel(lanes=lanes, step=path.step), *(_trigger(path, link, links, own) for link in links)]
+    kept = [links[0], links[-1]] if brief and len(links) > ROWS else links
+    triggers = [_trigger(path, link, kept, own) for link in kept]
+    if len(kept) < len(links):
+        triggers[0] = replace(triggers[0], note=f"{len(kept)} of {number_of(len(links), 'trigger')}")
+    found += [Panel(lanes=lanes, step=path.step), *triggers]
     packets = number_of(sum(int(sent.sum()) for sent in path.sends.values()), "packet")
     above = path.cost / first.cost - 1 if first.cost > 0 else 0.0
     more = f" ({percent(above, 0, signed=True)})" if abs(above) >= LEAST_DIFFERENCE else ""
     note = f"{packets}, cost {path.cost:.4g} on this path{more.replace('-', '−')}"
-    found[0] = replace(found[0], title=path.name, note=note, thing=own)
+    found[0] = replace(found[0], title=symbol(path.name), note=note, thing=own)
     found[-1] = replace(found[-1], xlabel=f"time ({path.unit})")
     return found
+
+
+def _looks(paths: Sequence[Trajectory]) -> list[Thing | int]:
+    """Return the look of each path; those of a held input and of a prediction are known where the paths differ so."""
+    differ = len({path.predicts for path in paths}) > 1 and all(path.triggers for path in paths)
+    words = [["model" if path.predicts else "hold"] if differ else list[str]() for path in paths]
+    return policy_looks(
+        [
+            words[0],
+            *(own if path.triggers else ["periodic control"] for own, path in zip(words[1:], paths[1:], strict=True)),
+        ]
+    )
 
 
 def _groups(rows: Sequence[Sequence[_Shown]]) -> list[list[int]]:

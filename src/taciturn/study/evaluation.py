@@ -150,6 +150,16 @@ def _proven(found: Evaluation) -> str:
     return f"at most {percent_above(bound, found.highest_all_time, 1, signed=False)}{more} proven"
 
 
+def _title(found: Evaluation) -> str:
+    """Return the first sentence of the verdict for a figure, whose axis names the cost to which costs are compared."""
+    first, proven = found.verdict[0], _proven(found)
+    bound = proven.removesuffix(" proven")
+    if bound == proven or not first.endswith(f", {proven}"):
+        return first
+    more = " more" if bound.endswith(" %") else ""
+    return f"{first.removesuffix(f', {proven}').replace(THAN, '')}; proven: {bound}{more}"
+
+
 def _as_written(found: Evaluation, written: AsWritten) -> str:
     """Return packets and cost on the plant as the user has written it."""
     if not written.settled:
@@ -576,7 +586,7 @@ class Evaluation(Tabular):
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
         rows = [(row.name, row.cost, row.up) for row in self.table_rows() if row.cost is not None]
-        panels = [cost_panel(rows, [self.cost.value], self.cost_all_time, self.per, self.verdict[0])]
+        panels = [cost_panel(rows, [self.cost.value], self.cost_all_time, self.per, _title(self))]
         panels += [rate_panel(self.rates, self.base_rate, self.rate_unit)] if self.rates else []
         panels += [] if self.violations is None else self.violations.panels()
         return draw(panels, ax, figsize, style)

@@ -19,6 +19,7 @@ THINGS: Mapping[str, Thing] = {
     "guarantee": "guarantee", "guarantee, this rate": "guarantee", "certificate of the nodes": "certificate",
     "lower bound, any schedule": "lower bound",
 }  # fmt: skip
+HOLLOW = "guarantee, this rate"  # which has the marker of the guarantee as an outline
 Row = tuple[str, Estimate, int]  # name, cost, and the direction in which a bound is rounded
 
 
@@ -28,7 +29,7 @@ def cost_panel(listed: Sequence[Row], near: Sequence[float], base: float | None,
     values = [cost.value for _, cost, _ in rows]
     above = Above.of(base, near, values) if base is not None and base > 0 else None
     series = [
-        Series([cost.value], [float(row)], "", "bars", [cost.standard_error], THINGS[name])
+        Series([cost.value], [float(row)], "", "bars", [cost.standard_error], THINGS[name], hollow=name == HOLLOW)
         for row, (name, cost, _) in enumerate(rows)
     ]
     notes = list[str]()
