@@ -298,7 +298,7 @@ def pids_on_two_nodes(*, full: bool = False) -> Markdown:
             (
                 name,
                 *(f"{one[0]:.3f}" for one in (*row["rates"].values(), row["traffic"])),
-                "{:.3f} ± {:.4f}".format(*row["cost"]),
+                "{:.3f}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{:.4f}".format(*row["cost"]),
                 f"{row['promise']:.3f}",
                 "none" if row["certificate"] is None else f"{row['certificate'][0]:.3f}",
             )

@@ -141,7 +141,10 @@ class Kinds(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Parse the table."""
-        return self.parse_text_to_nodes(kind_table(self.arguments[0]))
+        found = self.parse_text_to_nodes(kind_table(self.arguments[0]))
+        for table in (table for node in found for table in node.findall(nodes.table)):
+            table["classes"].append(f"kinds-{self.arguments[0]}")
+        return found
 
 
 class Problems(SphinxDirective):

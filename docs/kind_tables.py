@@ -69,12 +69,12 @@ def problems(kinds: Sequence[Kind]) -> str:
 
 
 def reference(kinds: Sequence[Kind]) -> str:
-    """Return goal, nodes, tuning and proved result of each kind; first those that ``taciturn new`` offers."""
+    """Return goal, sources, nodes, tuning and proved result of each kind; first those that ``taciturn new`` offers."""
     ordered = sorted(kinds, key=lambda kind: (kind.offered is None, kind.offered or 0, kind.name))
     rows = [
         (
             f"`{kind.name}`",
-            kind.goal,
+            f"{kind.goal} {', '.join(f'[{key}]' for key in kind.sources)}",
             kind.nodes,
             " or ".join(f"`{one.name}`" for one in kind.tuning) or "—",
             kind.proved + f"; relative to {kind.relative_to}" * (kind.relative_to != "—"),
