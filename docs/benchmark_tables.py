@@ -11,8 +11,12 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from IPython.display import Markdown
+from kind_tables import markdown_table
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+
+from taciturn import style
 
 Row = Mapping[str, Any]
 
@@ -267,37 +271,74 @@ def misra() -> None:
         print(f"{rule:7}{row['category']:10}{numbers}  {first}", *(f"{'':35}{line}" for line in rest), sep="\n")
 
 
-def pids_on_two_nodes() -> None:
-    """Print rates, costs and bounds of three published PID controllers with a link for sensor and actuator each."""
-    found = measured("every_path")
-    print("computed on", found["machine"]["processor"])
-    for case, rows in found["published"].items():
-        print(f"\n{case:33}{'sensor':>8}{'valve':>9}{'both':>9}{'cost':>16}{'guarantee':>10}{'certificate':>13}")
-        for name, row in rows.items():
-            if name != "periodic":
-                rates = "".join(f"{one[0]:9.3f}" for one in (*row["rates"].values(), row["traffic"]))
-                certificate = "none" if row["certificate"] is None else f"{row['certificate'][0]:.3f}"
-                cost, error = row["cost"]
-                print(f"{name:32}{rates}{f'{cost:.3f} ± {error:.4f}':>16}{row['promise']:10.3f}{certificate:>13}")
-        for name, row in rows["periodic"].items():
-            print(f"{'periodic, ' + name:50}{row['traffic']:9.3f}{row['cost']:7.3f}")
+def pids_on_two_nodes(*, full: bool = False) -> Markdown:
+    """Return rates and bounds of three published PID controllers with a link for sensor and actuator each.
 
-
-def published_pids() -> None:
-    """Print the packets of three published PID controllers under all rules that keep a controller, at equal cost."""
-    kept = measured("published_pids")
-    print(f"{'packets per second':28}" + "".join(f"{name:>20}" for name in kept))
-    first = [row["periodic"] for row in kept.values()]
-    print(f"{'every sample':28}" + "".join(f"{row['every sample']:20.3g}" for row in first))
-    for words in ("at its own step", "discretised anew"):
-        print(f"{'periodic, ' + words:28}" + "".join(f"{row[words]['rate']:20.3f}" for row in first))
-    for rule in (rule for rule in kept["three lags"] if rule != "periodic"):
-        shown = [
-            f"{row[rule]['rate']:.3f} ± {row[rule]['rate_error']:.3f}" if "rate" in row[rule] else "none"
-            for row in kept.values()
+    In short: the rules at equal cost. In full: all rules, with the rates of both links, costs and certificates.
+    """
+    found = measured("every_path")["published"]
+    if not full:
+        names = {
+            "bank, hold": "bank, held values",
+            "bank, model in the valve": "bank, the valve predicts",
+            "send-on-delta": "send-on-delta",
+        }
+        rows = [
+            (shown, *(f"{rows[name]['traffic'][0]:.3g} ({rows[name]['promise']:.2f})" for rows in found.values()))
+            for name, shown in names.items()
         ]
-        print(f"{rule:28}" + "".join(f"{text:>20}" for text in shown))
-    print(f"{'cost of LQG, every sample':28}" + "".join(f"{row['LQG']:20.3f}" for row in first))
+        periodic = (f"{rows['periodic']['same cost']['traffic']:.3g} (none)" for rows in found.values())
+        return Markdown(
+            markdown_table(("packets per second (bound)", *found), [*rows, ("periodic control", *periodic)])
+        )
+    heading = ("rule", "sensor", "valve", "both", "cost", "guarantee", "certificate")
+    parts: list[str] = []
+    for case, kept in found.items():
+        rows = [
+            (
+                name,
+                *(f"{one[0]:.3f}" for one in (*row["rates"].values(), row["traffic"])),
+                "{:.3f}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{:.4f}".format(*row["cost"]),
+                f"{row['promise']:.3f}",
+                "none" if row["certificate"] is None else f"{row['certificate'][0]:.3f}",
+            )
+            for name, row in kept.items()
+            if name != "periodic"
+        ]
+        rows += [
+            (f"periodic, {name}", "", "", f"{row['traffic']:.3f}", f"{row['cost']:.3f}", "none", "none")
+            for name, row in kept["periodic"].items()
+        ]
+        parts.append(f"**{case}**\n\n{markdown_table(heading, rows)}")
+    return Markdown("\n\n".join(parts))
+
+
+def published_pids(*, full: bool = False) -> Markdown:
+    """Return the packets of three published PID controllers under the rules that keep a controller, at equal cost.
+
+    In short: the best variant of each rule. In full: all variants.
+    """
+    kept = measured("published_pids")
+    first = [row["periodic"] for row in kept.values()]
+    rows = [("every sample", *(f"{row['every sample']:.3g}" for row in first))]
+    periods = ("at its own step", "discretised anew")
+    rules = [rule for rule in kept["three lags"] if rule != "periodic"]
+    if full:
+        rows += [(f"periodic, {words}", *(f"{row[words]['rate']:.3f}" for row in first)) for words in periods]
+        for rule in rules:
+            shown = (
+                f"{row[rule]['rate']:.3f} ± {row[rule]['rate_error']:.3f}" if "rate" in row[rule] else "none"
+                for row in kept.values()
+            )
+            rows.append((rule, *shown))
+    else:
+        rows.append(("periodic", *(f"{min(row[words]['rate'] for words in periods):.3g}" for row in first)))
+        for name in dict.fromkeys(rule.partition(",")[0] for rule in rules):
+            variants = [rule for rule in rules if rule.partition(",")[0] == name]
+            least = (min(row[rule]["rate"] for rule in variants if "rate" in row[rule]) for row in kept.values())
+            rows.append((f"`{name}`", *(f"{rate:.3g}" for rate in least)))
+    rows.append(("cost of LQG, every sample", *(f"{row['LQG']:.3f}" for row in first)))
+    return Markdown(markdown_table(("packets per second", *kept), rows))
 
 
 def channel_bounds() -> None:
@@ -430,6 +471,7 @@ def rover() -> None:
 
 def rover_figure() -> Figure:
     """Return a path of the rover with its inputs and requests."""
+    plt.rcParams.update(style())
     kept = measured("twins")["rover"]
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(7, 5), sharex=True)
     for name, label in (("path", "event-triggered"), ("path_all_time", "every sample")):
@@ -467,10 +509,11 @@ def omni_figure() -> Figure:
     turn = np.linspace(0, 4 * np.pi, 251)
     side = np.where(turn < 2 * np.pi, -1, 1)
     sent = path["sent"]["actuator"]
+    plt.rcParams.update(style())
     figure, axis = plt.subplots(figsize=(7, 3.6))
-    axis.plot(side * (1 - np.cos(turn)), -np.sin(turn), "k--", lw=1, label="reference")
+    axis.plot(side * (1 - np.cos(turn)), -np.sin(turn), "--", color="C7", lw=1, label="reference")
     axis.plot(x, y, label="twin")
-    axis.plot(x[sent], y[sent], "r.", label=f"sends: {len(sent)} of 250")
+    axis.plot(x[sent], y[sent], ".", color="C3", label=f"sends: {len(sent)} of 250")
     axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axis.legend(loc="upper right")
     return figure

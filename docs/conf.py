@@ -57,6 +57,7 @@ nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 1200
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables in outputs
 nb_code_prompt_show, nb_code_prompt_hide = "Show the code", "Hide the code"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True

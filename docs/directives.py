@@ -6,17 +6,21 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 
+from captions import CAPTIONS
 from docutils import nodes
 from kind_tables import kind_table, problem_table
 from names import listing, mend, shorten, told
 from pygments.lexers import TOMLLexer
 from pygments.token import Comment
 from result_tables import key_table
+from sphinx.addnodes import pending_xref
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
@@ -38,6 +42,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("keys", Keys)
     app.add_directive("problems", Problems)
     app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
+    app.connect("doctree-read", _cite)
     app.connect("doctree-read", _describe)
     app.connect("doctree-read", _find_plain)
     app.connect("doctree-resolved", _collect)
@@ -137,7 +142,10 @@ class Kinds(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Parse the table."""
-        return self.parse_text_to_nodes(kind_table(self.arguments[0]))
+        found = self.parse_text_to_nodes(kind_table(self.arguments[0]))
+        for table in (table for node in found for table in node.findall(nodes.table)):
+            table["classes"].append(f"kinds-{self.arguments[0]}")
+        return found
 
 
 class Problems(SphinxDirective):
@@ -156,6 +164,44 @@ class Keys(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Parse the table."""
         return self.parse_text_to_nodes(key_table(self.arguments[0]))
+
+
+def _sources() -> dict[str, str]:
+    """Return the first author and the year of each source by its key."""
+    found: dict[str, str] = {}
+    text = Path(__file__).with_name("sources.bib").read_text(encoding="utf-8")
+    for key, entry in re.findall(r"^@\w+\{(\w+),(.*?)^\}", text, re.DOTALL | re.MULTILINE):
+        author, year = (
+            re.search(rf"^  {field}\s*= \{{(.*?)\}},?$", entry, re.M | re.S) for field in ("author", "year")
+        )
+        if author:
+            name = author[1].split(" and ")[0].partition(",")[0].replace(r"\AA", "A\u030a").replace(r"\o", "ø")
+            name = re.sub(r"\\(\W)\{?(\w)\}?", lambda accent: accent[2] + ACCENTS[accent[1]], name)
+            found[key] = f"{normalize('NFC', re.sub(r'[{}]', '', name))}{f' {year[1]}' if year else ''}"
+    return found
+
+
+ACCENTS = {'"': "\u0308", "'": "\u0301", "`": "\u0300", "^": "\u0302", "~": "\u0303"}
+SOURCES = _sources()
+
+
+def _cite(app: Sphinx, tree: nodes.document) -> None:
+    """Show the key of a source in brackets, ``[girard2015]``, as its first author and year, with a link to the list."""
+    for text in list(tree.findall(nodes.Text)):
+        if isinstance(text.parent, nodes.literal | nodes.literal_block | nodes.raw | nodes.math | nodes.math_block):
+            continue
+        words = re.split(r"\[(\w+)\]", text.astext())
+        if not set(words[1::2]) & SOURCES.keys():
+            continue
+        parts: list[nodes.Node] = []
+        for place, word in enumerate(words):
+            if place % 2 and word in SOURCES:
+                link = {"refdomain": "std", "reftype": "ref", "reftarget": "sources", "refexplicit": True}
+                shown = nodes.inline("", SOURCES[word])
+                parts += [nodes.Text("["), pending_xref("", shown, refdoc=app.env.docname, **link), nodes.Text("]")]
+            else:
+                parts.append(nodes.Text(f"[{word}]" if place % 2 else word))
+        text.parent.replace(text, parts)
 
 
 def _describe(app: Sphinx, tree: nodes.document) -> None:
@@ -196,8 +242,16 @@ def _line(node: nodes.Node) -> int:
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
     for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
         for page in _in_order(app.env, app.config.root_doc, name):
+            met: Counter[str] = Counter()  # the figures so far of each section
             for image in filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)):
-                place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+                section = _section(image)
+                key = f"{page}#{section['ids'][0]}"
+                if key not in CAPTIONS:
+                    raise ValueError(f"captions.py has no caption for the figure of {key}")
+                caption = CAPTIONS[key][min(met[key], len(CAPTIONS[key]) - 1)]
+                met[key] += 1
+                title, uri = app.env.titles[page].astext(), app.builder.get_relative_uri(name, page)
+                place += _figure(image, section, uri, title, caption)
 
 
 def _in_order(env: BuildEnvironment, top: str, without: str) -> Iterator[str]:
@@ -230,20 +284,22 @@ def _save_explorers(app: Sphinx, error: Exception | None) -> None:
             shutil.copyfile(kept, Path(app.outdir) / name)
 
 
-def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
-    """Return an image of another page with the section it is from and the sentence that stands before it."""
+def _section(image: nodes.image) -> nodes.section:
+    """Return the section of a figure."""
     part: nodes.Node = image
-    while not isinstance(part.parent, nodes.section):
+    while not isinstance(part, nodes.section):
         part = part.parent
-    section = part.parent
+    return part
+
+
+def _figure(image: nodes.image, section: nodes.section, uri: str, title: str, caption: str) -> nodes.container:
+    """Return an image of another page with its caption and the section it is from."""
     heading = section.next_node(nodes.title).astext()
     link = {"refuri": f"{uri}#{section['ids'][0]}", "internal": True}
-    caption = nodes.paragraph("", "", nodes.reference("", f"{title}: {heading}".removesuffix(f": {title}"), **link))
-    before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
-    if before:
-        caption += nodes.Text(". " + re.split(r"\.\s", before[-1].astext())[0].rstrip(".:") + ".")
+    source = nodes.reference("", f"{title}: {heading}".removesuffix(f": {title}"), **link)
+    below = nodes.paragraph("", "", nodes.Text(f"{caption} "), source)
     only = [word for word in image["classes"] if word.startswith("only-")]  # a picture for one colour scheme
-    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption, classes=only)
+    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), below, classes=only)
 
 
 def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:

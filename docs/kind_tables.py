@@ -13,13 +13,11 @@ from taciturn.design.kind import Kind
 from taciturn.design.several_nodes import MOST_LINKS as MOST_SETS
 from taciturn.lqg import lossy
 from taciturn.model import cost, link, signals
-from taciturn.model.policy import Policy
 from taciturn.problem import matlab_and_numpy as matrices
 from taciturn.problem import read
 from taciturn.renewal.chain import MOST_STATES
 from taciturn.simulation import sampling
 from taciturn_limits.fitted import DIRECTIONS
-from taciturn_new.draft import example_of
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}
@@ -41,7 +39,7 @@ def problem_table() -> str:
         comment = re.match(r"(#.*\n)*", path.read_text(encoding="utf-8"))
         said = " ".join(line.strip("# ") for line in (comment[0] if comment else "").splitlines())
         rows.append((f"`{path.stem}`", re.split(r"[:.] ", said)[0].rstrip("."), f"`{problem.load(path.stem).kind}`"))
-    return _table(("name", "problem", "kind"), rows)
+    return markdown_table(("name", "problem", "kind"), rows)
 
 
 def parameters(kinds: Sequence[Kind]) -> str:
@@ -51,7 +49,7 @@ def parameters(kinds: Sequence[Kind]) -> str:
         for kind in kinds
         for index, (name, one) in enumerate(kind.parameters.items())
     ]
-    return _table(("`kind`", "parameter", "default", "description"), rows)
+    return markdown_table(("`kind`", "parameter", "default", "description"), rows)
 
 
 def problems(kinds: Sequence[Kind]) -> str:
@@ -70,38 +68,20 @@ def problems(kinds: Sequence[Kind]) -> str:
     )
 
 
-def nodes(kinds: Sequence[Kind]) -> str:
-    """Return the nodes, plants and links of the kinds; kinds that agree share a row."""
-    return _grouped(
-        ("nodes", "plant", "links", "kinds"),
-        kinds,
-        lambda kind: (kind.nodes, plants(kind), "drop packets" if kind.takes_losses else "ideal"),
-        last=True,
-    )
-
-
-def goals(kinds: Sequence[Kind]) -> str:
-    """Return the goal and the proved result of each kind; first those that ``taciturn new`` offers."""
+def reference(kinds: Sequence[Kind]) -> str:
+    """Return goal, sources, nodes, tuning and proved result of each kind; first those that ``taciturn new`` offers."""
     ordered = sorted(kinds, key=lambda kind: (kind.offered is None, kind.offered or 0, kind.name))
     rows = [
-        (kind.goal, f"`{kind.name}`", kind.proved, kind.relative_to, ", ".join(f"`{key}`" for key in kind.sources))
+        (
+            f"`{kind.name}`",
+            f"{kind.goal} {', '.join(f'[{key}]' for key in kind.sources)}",
+            kind.nodes,
+            " or ".join(f"`{one.name}`" for one in kind.tuning) or "—",
+            kind.proved + f"; relative to {kind.relative_to}" * (kind.relative_to != "—"),
+        )
         for kind in ordered
     ]
-    return _table(("goal", "kind", "proved result", "relative to", "[sources](help.md#sources)"), rows)
-
-
-def glance(kinds: Sequence[Kind]) -> str:
-    """Return the tuning parameters of the kinds, the links on which they decide, and the guarantee of an example."""
-    rows: list[tuple[str, ...]] = []
-    for kind in kinds:
-        policy = example_of(kind).designed()
-        decides, proved = "sensor", "for analysis: solved, and run by no node"
-        if isinstance(policy, Policy):
-            exact = "exact cost and rate" if policy.theory.closed_form else "—"
-            decides = " and ".join(policy.scheduled) or "—"
-            proved = policy.guarantee.statement if policy.guarantee else exact
-        rows.append((f"`{kind.name}`", " or ".join(f"`{one.name}`" for one in kind.tuning) or "—", decides, proved))
-    return _table(("kind", "tuned by", "decides", "guarantee"), rows)
+    return markdown_table(("kind", "goal", "nodes", "tuned by", "proved result"), rows)
 
 
 def steps(kinds: Sequence[Kind]) -> str:
@@ -127,7 +107,7 @@ def limits(kinds: Sequence[Kind]) -> str:
         "one sensor": lambda kind: kind.joint_links and not kind.several_nodes,
     }
     rows = [(limit, ", ".join(f"`{kind.name}`" for kind in kinds if has(kind))) for limit, has in told.items()]
-    return _table(("limit", "kinds"), [row for row in rows if row[1]])
+    return markdown_table(("limit", "kinds"), [row for row in rows if row[1]])
 
 
 def sizes(_: Sequence[Kind]) -> str:
@@ -148,7 +128,7 @@ def sizes(_: Sequence[Kind]) -> str:
         "bytes of a Python file with the function of a plant": read.LARGEST_CODE,
         "bytes of all variables of a matrix file": matrices.LARGEST,
     }
-    return _table(("size", "at most"), [(what, f"{most:,}") for what, most in rows.items()])
+    return markdown_table(("size", "at most"), [(what, f"{most:,}") for what, most in rows.items()])
 
 
 def plants(kind: Kind) -> str:
@@ -166,17 +146,16 @@ def _set_points(kind: Kind) -> str:
     return KEPT if required and not kind.follows else FOLLOWS[kind.follows]
 
 
-def _grouped(
-    heading: Sequence[str], kinds: Iterable[Kind], told: Callable[[Kind], tuple[str, ...]], last: bool = False
-) -> str:
+def _grouped(heading: Sequence[str], kinds: Iterable[Kind], told: Callable[[Kind], tuple[str, ...]]) -> str:
     groups: dict[tuple[str, ...], list[str]] = {}
     for kind in kinds:
         groups.setdefault(told(kind), []).append(f"`{kind.name}`")
-    rows = [(*row, ", ".join(names)) if last else (", ".join(names), *row) for row, names in groups.items()]
-    return _table(heading, rows)
+    rows = [(", ".join(names), *row) for row, names in groups.items()]
+    return markdown_table(heading, rows)
 
 
-def _table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def markdown_table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
     lines = [heading, ["---"] * len(heading), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
@@ -188,6 +167,6 @@ def _default(one: Parameter) -> str:
 
 
 TABLES = {
-    "parameters": parameters, "problems": problems, "nodes": nodes, "goals": goals, "steps": steps, "limits": limits,
-    "glance": glance, "sizes": sizes,
+    "parameters": parameters, "problems": problems, "reference": reference, "steps": steps, "limits": limits,
+    "sizes": sizes,
 }  # fmt: skip

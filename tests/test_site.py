@@ -33,6 +33,21 @@ def names() -> ModuleType:
         sys.path.pop(0)
 
 
+def test_each_caption_of_the_gallery_names_a_section_of_the_manual() -> None:
+    """The build refuses a figure without a caption; a caption whose section is renamed is found here."""
+    sys.path.insert(0, str(DOCS))
+    try:
+        captions = importlib.import_module("captions").CAPTIONS
+    finally:
+        sys.path.pop(0)
+    for key, texts in captions.items():
+        page, _, section = key.partition("#")
+        (path,) = (path for kind in (".md", ".ipynb") if (path := DOCS / f"{page}{kind}").exists())
+        headings = re.findall(r'^(?: *")?#+ (.*?)(?:\\n)?"?,?$', path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert section in {re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-") for heading in headings}, key
+        assert all(text.endswith(".") and len(text) < 100 for text in texts), key
+
+
 @pytest.fixture(scope="module")
 def listed(names: ModuleType) -> dict[str, object]:
     """Return what the pages of the reference list, by name."""
