@@ -515,7 +515,7 @@ def omni_figure() -> Figure:
     axis.plot(x, y, label="twin")
     axis.plot(x[sent], y[sent], ".", color="C3", label=f"sends: {len(sent)} of 250")
     axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    axis.legend(loc="upper right")
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=3)
     return figure
 
 

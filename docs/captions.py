@@ -29,7 +29,10 @@ CAPTIONS: dict[str, tuple[str, ...]] = {
         "Noise and θ for which two nonlinear plants keep the bound of their linearisation.",
     ),
     "notebooks/beside-python-control#a-step-response": ("A step response with every sample, and with events.",),
-    "notebooks/fewer-packets-for-a-pid#your-pid-with-fewer-packets": ("A PID controller: cost against packets.",),
+    "notebooks/fewer-packets-for-a-pid#your-pid-with-fewer-packets": (
+        "A PID controller: cost against packets.",
+        "A step of the set-point with a limited valve.",
+    ),
     "notebooks/over-a-lossy-network#the-nodes-over-udp": ("Eight runs over UDP with the same dropped packets.",),
     "notebooks/over-a-lossy-network#with-and-without-acknowledgement": (
         "Cost with and without acknowledgements against the loss probability.",
