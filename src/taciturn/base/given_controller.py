@@ -113,8 +113,7 @@ def disturbed(
     SIMULATED.check(controller)
     if not cost.mission:  # over a finite horizon, no mode has to decay
         _expect_moved(controller)
-    if plant.exosystem is not None:
-        controller = following(kept, controller, _followed(plant, controller))
+    controller = followed_by(plant, kept, controller)
     disturbance = controller.expected
     if disturbance is not None:
         disturbance = disturbance.completed(plant, period)
@@ -143,7 +142,12 @@ def _has_set_point(kept: AnyController) -> bool:
     return any(one.setpoint for one in pids_of(kept))
 
 
-def _followed(plant: Plant | ContinuousPlant, controller: Controller) -> list[int]:
+def followed_by(plant: Plant | ContinuousPlant, kept: AnyController, controller: Controller) -> Controller:
+    """Return a discretised controller that also reads the set-points of the plant, if the plant has any."""
+    return controller if plant.exosystem is None else following(kept, controller, _followed(plant))
+
+
+def _followed(plant: Plant | ContinuousPlant) -> list[int]:
     """Return the measured output that each set-point is for, where a given controller follows set-points."""
     own = plant.exosystem
     assert own is not None
@@ -280,21 +284,12 @@ class GivenLoop(Displayed):
         period: float | None,
         kept: AnyController,
         lqg: bool = False,
-        follows: bool = False,
     ) -> GivenLoop:
-        """Return the loop of a given controller. The plant gets the disturbance that the controller compensates.
-
-        ``follows`` states whether the design gives the controller set-points that change.
-        """
-        if plant.exosystem is not None and not follows:
-            ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
-            who, expected = (
-                ("LQG with these options", f"the kind excess with {ideal}")
-                if lqg
-                else ("a given controller", f"its keys setpoint and disturbance, or LQG: the kind excess with {ideal}")
-            )
+        """Return the loop of a given controller. The plant gets the disturbance that the controller compensates."""
+        if plant.exosystem is not None and lqg:
             raise ProblemError(
-                f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
+                "the plant has disturbances or set-points, which LQG with these options does not use; expected the "
+                "kind excess with link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
             )
         if plant.exosystem is not None and _has_set_point(kept):
             raise ProblemError("controller.setpoint and [reference] are both given; expected only one of them")
@@ -321,14 +316,21 @@ class GivenLoop(Displayed):
         found = advantage(
             base, self.remedy, attempts_of(self.problem, base, (True,) * (self.problem.cost.horizon or 1))
         )
-        return found, cost_of_base(self.problem, found, self.point.start) + self._overlap(base, found.P)
+        overlap, _ = self.known_steps(base, found.P)
+        return found, cost_of_base(self.problem, found, self.point.start) + overlap
 
-    def _overlap(self, base: Base, P: Array) -> float:
-        """Return the cost per step by which set-points that change at known times exceed independent changes."""
-        # a change comes before the response to earlier ones has ended: changes m and m' after it cost 2 m'P F^k m more
+    def known_steps(self, base: Base, P: Array) -> tuple[float, Array | None]:
+        """Return what set-points that change at known times add to the cost, and the slopes of their cost of silence.
+
+        The first is the cost per step beyond that of independent changes, 0 for other set-points. The second, (steps,
+        c), is g_k of the cost of silence e'He + 2e'(slope z + g_k); None for other set-points.
+        """
+        # The value is z'Pz + 2h_k'z + a constant with h_k = F'(P m_k + h_{k+1}), where the known change moves z by m_k
+        # from step k to k + 1. So g_k = Γ'(P m_k + h_{k+1}). A change comes before the response to earlier ones has
+        # ended: with the state z_k that they cause, the cost exceeds that of independent changes by 2m_k'P F z_k.
         plant, closed = self.problem.plant, base.replaced[:, : len(base.Phi)]
         if not isinstance(plant.changes, SampledChanges):
-            return 0.0
+            return 0.0, None
         (n, p), table = (plant.states, plant.outputs), plant.changes.table
         which = slice(n - table.shape[1], n)
         moves, F = np.zeros((len(table), len(base.Phi))), base.Phi + base.Gamma @ base.K
@@ -341,15 +343,21 @@ class GivenLoop(Displayed):
             moves / unit @ seen,
             seen.T @ (P[: len(F), : len(F)] * np.outer(unit, unit)) @ seen,
         )
-        begun, power, cost = np.zeros(len(F)), np.eye(len(F)), 0.0
-        for move in moves:
-            begun, power = F @ begun + move, F @ power
-        state = np.linalg.solve(np.eye(len(F)) - power, begun)  # at the end of each cycle
+        none, whole, cost = np.zeros(len(F)), np.eye(len(F)), 0.0
+        begun, later, power = none, none, whole
+        for first, last in zip(moves, moves[::-1], strict=True):
+            begun, later, power = F @ begun + first, F.T @ (P @ last + later), F @ power
+        state = np.linalg.solve(whole - power, begun)  # at the end of each cycle
+        ahead = np.linalg.solve(whole - power.T, later)  # at its beginning, and so at its end
         for move in moves:
             state = F @ state
             cost += 2 * float(move @ P @ state)
             state = state + move
-        return cost / len(table)
+        slopes, acts = np.empty((len(moves), base.Gamma.shape[1])), (base.Gamma / unit[:, None]).T @ seen
+        for k in range(len(moves) - 1, -1, -1):
+            pushed = P @ moves[k] + ahead
+            slopes[k], ahead = acts @ pushed, F.T @ pushed
+        return cost / len(table), slopes
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -38,7 +38,17 @@ from taciturn.base.certainty import (
     control_steps,
     design_certainty,
 )
-from taciturn.base.filter import DEVIATION, ESTIMATE, HELD, SEND, StepCounter, by_clock, estimate_state
+from taciturn.base.filter import (
+    CLOCK,
+    DEVIATION,
+    ESTIMATE,
+    HELD,
+    SEND,
+    StepCounter,
+    by_clock,
+    count_ticks,
+    estimate_state,
+)
 from taciturn.base.gains import price_control
 from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base
 from taciturn.base.nominal import Nominal
@@ -56,9 +66,10 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
+from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Step
 from taciturn.model.theory import INNOVATION, Identity, Theory
-from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 BELIEF = "belief"
 GOOD_OR_BAD = ("cost if good", "cost if bad")
@@ -67,6 +78,7 @@ FORGOTTEN = 0.02  # weight of the newest innovation: the average extends over ab
 FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
 MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
 MISSING, WOULD, BEYOND, LIMIT = "missing", "command of a packet", "beyond limits", "limit"
+COMING = "coming set-points"  # the slope that known changes of set-points add to the cost of silence
 
 
 def send_for_given(
@@ -89,6 +101,13 @@ def send_for_given(
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
     lossy = drops(network, link)
+    timed = isinstance(plant.changes, SampledChanges)
+    if timed and (lossy or every > 1 or not average):
+        why = "the link drops packets" if lossy else f"every is {every}" if every > 1 else "the cost is a total"
+        raise ProblemError(
+            f"the set-points change at known times (reference.file), and {why}; expected an average cost, every = 1 "
+            "and ideal links, or steps at random times (reference.steps)"
+        )
     copied = actuation == "model" and (lossy or every > 1)
     if copied and not average:
         why = "the link drops packets" if lossy else f"every is {every}"
@@ -110,7 +129,8 @@ def send_for_given(
     time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
     attempts = attempts_of(problem, route.base, time.pattern, chain, network.lost(link))
     found = advantage(route.base, loop.remedy, attempts)
-    base = all_time = cost_of_base(problem, found, route.start, route.begun)
+    overlap, slopes = loop.known_steps(route.base, found.P) if timed else (0.0, None)
+    base = all_time = cost_of_base(problem, found, route.start, route.begun) + overlap
     if every > 1:
         used = controller if lqg is None else lqg
         known = steady if copied and lossy else None  # without losses, no prediction is ever used
@@ -118,17 +138,17 @@ def send_for_given(
         always_found = _every_sample(problem, always.base, loop.remedy, chain, network.lost(link))
         all_time = cost_of_base(problem, always_found, always.start, always.begun)
     proved = None
-    if every == 1 and not lossy:
+    if every == 1 and not lossy and plant.changes is None:  # set-points that change last, and the proof sees them
         proved = controller_loop(problem, controller).cost()
         base = all_time = base if proved is None else proved.value
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
-    silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
+    silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit, slopes)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
     # above the price in any case, also if that is 0: then silence is never the least
     at, forbidden, rule = route.node, 2 * price + base + 1, silence.cost
-    watch = () if watched is None else watch_innovations(INNOVATION, watched, at)
+    watch = () if watched is None else watch_innovations(INNOVATION, watched, at, plant.sensed)
     if watch:
         watch, rule = _unless(WATCH, watch, rule, forbidden)
     clipped = _at_limits(plant, controller, at)
@@ -170,7 +190,7 @@ def send_for_given(
         loop.point.begun(steps, initial),
         claims,
         sites=route.sites,
-        locations=time.locations,
+        locations=time.locations if slopes is None else (count_ticks(len(slopes), 0),),
         network=network if lossy else None,
         notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
     )
@@ -245,9 +265,18 @@ class Silence(Displayed):
 
 
 def cost_of_silence(
-    found: Advantage, route: GivenRoute, attempts: Attempts, link: str, phases: Sequence[int], unit: float
+    found: Advantage,
+    route: GivenRoute,
+    attempts: Attempts,
+    link: str,
+    phases: Sequence[int],
+    unit: float,
+    slopes: Array | None = None,
 ) -> Silence:
-    """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it."""
+    """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it.
+
+    ``slopes`` are those by known changes of set-points, (steps, c), by the clock of the policy.
+    """
     n = found.slope.shape[-1]
     none = np.zeros((*found.H.shape[:2], n, n))
     whole: Any = np.block([[found.H, found.slope], [found.slope.swapaxes(2, 3), none]])  # type: ignore[arg-type]
@@ -255,8 +284,13 @@ def cost_of_silence(
     tried = np.array([attempts.pattern[phase] for phase in phases])
     signals = ("error", *route.state)
     if len(attempts.losses) == 1:
-        values, identity = square[:, 0], signals
-        silence = Silence(Form(signals, _by_clock(values)), (Form(), Form()))
+        values, identity, before = square[:, 0], signals, tuple[Step, ...]()
+        if slopes is not None:
+            c = slopes.shape[1]
+            values, identity = np.pad(values, ((0, 0), (0, c), (0, c))), (*signals, COMING)
+            values[:, :c, -c:] = values[:, -c:, :c] = np.eye(c)
+            before = (Assign(route.node, COMING, {ONE: Scheduled(CLOCK, slopes[:, :, None])}),)
+        silence = Silence(Form(identity, _by_clock(values)), (Form(), Form()), before)
     else:
         states = range(len(attempts.losses))
         names = GOOD_OR_BAD if len(states) == 2 else tuple(f"cost in state {m}" for m in states)
@@ -323,12 +357,15 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
     return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 
 
-def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, ...]:
-    """Return policy steps that check whether the innovations of a filter are larger than the model predicts."""
-    entries = shape_of(covariance)[0]
+def watch_innovations(signal: str, covariance: Matrix, at: str, entries: int) -> tuple[Step, ...]:
+    """Return policy steps that check whether the innovations of a filter are larger than the model predicts.
+
+    Only the first ``entries`` count, those of measurements: set-points follow, and an operator may move them as he
+    likes.
+    """
     freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
     limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
-    averaged = Form((signal,), _weight(covariance), plus={"surprise": 1 - FORGOTTEN})
+    averaged = Form((signal,), _weight(covariance, entries), plus={"surprise": 1 - FORGOTTEN})
     same, more = Form(plus={"alarms": 1.0}), Form(constant=1.0, plus={"alarms": 1.0})
     return (
         Evaluate(at, "surprise", (averaged,)),
@@ -337,14 +374,17 @@ def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, .
     )
 
 
-def _weight(covariance: Matrix) -> Matrix:
+def _weight(covariance: Matrix, entries: int) -> Matrix:
     if isinstance(covariance, Scheduled):
-        return Scheduled(covariance.by, _inverse(covariance.values))
-    return _inverse(covariance)
+        return Scheduled(covariance.by, _inverse(covariance.values, entries))
+    return _inverse(covariance, entries)
 
 
-def _inverse(covariance: Array) -> Array:
-    return symmetrised(FORGOTTEN * np.asarray(np.linalg.pinv(covariance, hermitian=True), dtype=np.float64))
+def _inverse(covariance: Array, entries: int) -> Array:
+    found = np.zeros_like(covariance)
+    measured = covariance[..., :entries, :entries]
+    found[..., :entries, :entries] = FORGOTTEN * np.linalg.pinv(measured, hermitian=True)
+    return symmetrised(found)
 
 
 def _at_limits(plant: Plant, controller: Controller, at: str) -> tuple[Step, ...]:
