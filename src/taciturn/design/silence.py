@@ -172,7 +172,7 @@ def send_for_given(
         covers=GAUSSIAN_THEORY | BURSTS if lossy else GAUSSIAN_THEORY,
         functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
-        periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
+        periodic=SameControl(loop, alone.base) if average and not lossy else None,
         every=every,
     )
     nominal = loop.nominal(

@@ -468,7 +468,9 @@ def _without_disturbance(kept: AnyController) -> AnyController:
         return PIDLoops((replace(first, disturbance=none), *others))
     if isinstance(kept, PID | ContinuousController):
         return replace(kept, disturbance=none)
-    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.rest, kept.start_input)
+    return Controller(
+        kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.start_input, kept.F, kept.G
+    )
 
 
 def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
