@@ -112,7 +112,7 @@ REQUIRED: Mapping[str, str] = {
     "lossy probes": "link probe", "rounded probes": "link probe", "energy of probes": "link probe",
     "unacknowledged": "nodes", "lossy valves": "link valve", "bursty valves": "link valve", "prices": "link valve",
     "shares": "nodes", "weights of the set-point": "pid", "tracking time": "pid", "start input": "pid",
-    "no drift": "controller", "stated drift": "controller", "weights as the controller": "controller",
+    "inputs for set-points": "reference", "no drift": "controller", "stated drift": "controller", "weights as the controller": "controller",
     "controller's set-point": "controller", "controller per second": "linear",
     "bank": "every path", "relative bank": "every path", "relative bank of a share": "every path",
     "threshold of silence": "every path", "spending": "every path", "range of gains": "every path",
@@ -123,7 +123,7 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
     "two sensors": ("two outputs",), "two wired sensors": ("two outputs",), "two actuators": ("two inputs",),
     "actuators of a wired sensor": ("two inputs",), "four nodes": ("two outputs", "two inputs"),
-    "weights of the set-point": ("controller's set-point",), "controller per second": ("linear controller",),
+    "inputs for set-points": ("linear controller",), "controller per second": ("linear controller",),
     "kind lossy-lqg": ("measured state",), "kind consistent": ("continuous", "measured state"),
     "kind integral": ("continuous", "measured state"), "kind optimal": ("measured state",),
     "kind event-pid": ("PID",), "kind event-pid-saturated": ("PID",),
@@ -158,7 +158,7 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 FOLLOWED = frozenset({"changes", "outputs to follow"})
-"""Groups of what a given controller has with the kind ``distributed`` alone."""
+"""Groups of what a given controller has with some kinds only."""
 
 
 def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -180,7 +180,7 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
                 add(partner)
     groups = {known[name].group for name in found}
     if "controller" in groups and groups & FOLLOWED:
-        add("kind distributed")
+        add(f"kind {rng.choice(['distributed', 'excess', 'send-on-delta'])}")
     wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
     if wishes:
         add(f"kind {rng.choice(wishes)}")
