@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import Any
 

@@ -1,10 +1,11 @@
 """Controllers that a user keeps, LQG over links that drop packets, and slower bases: ``excess`` and ``send-on-delta``.
 
 The state of the loop is w = (x, d, c, y, r, h): plant, slow disturbances at the inputs, controller, measurement,
-set-points, and the value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a, M_a for a packet that
-arrives and F_s, M_s for silence, X_f(P) = M_f + F_f'PF_f, the loop that always attempts has the value P, and silence
-costs E[w'Ψw], Ψ = (1 − p)(X_s − X_a), more. Known changes m_k of a timetable make the value w'Pw + 2v_k'w with
-v_k = F_a'(P m_k + v_{k+1}), so silence costs 2w'(F_s − F_a)'(P m_k + v_{k+1}) besides. LQG is the controller whose state is the prediction of its observer.
+set-points, and the value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a,
+M_a for a packet that arrives and F_s, M_s for silence, X_f(P) = M_f + F_f'PF_f, the loop that always attempts has the
+value P, and silence costs E[w'Ψw], Ψ = (1 − p)(X_s − X_a), more. Known changes m_k of a timetable make the value w'Pw +
+2v_k'w with v_k = F_a'(P m_k + v_{k+1}), so silence costs 2w'(F_s − F_a)'(P m_k + v_{k+1}) besides. LQG is the
+controller whose state is the prediction of its observer.
 """
 
 from __future__ import annotations

@@ -274,8 +274,7 @@ def _without_hidden(cycle: Cycle) -> tuple[Cycle, Array]:
     Such modes are set-points that the loop follows: at rest, a packet that is dropped changes nothing.
     """
     fates = [fate for states in cycle for each in states for fate in each]
-    sizes = sum(np.abs(F) for _, F, _ in fates)
-    unit = balancing(sizes)
+    unit = balancing(np.sum([np.abs(F) for _, F, _ in fates], axis=0))
     moves = [F / unit[:, None] * unit for _, F, _ in fates]
     stages = [M * unit * unit[:, None] for _, _, M in fates]
     seen = seen_part(moves[0], stages[0])

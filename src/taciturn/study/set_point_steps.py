@@ -41,14 +41,7 @@ MOST = 2e8  # steps of all paths together
 
 @dataclass(frozen=True, repr=False)
 class SetPointSteps(Result):
-    """Send rates with constant set-points, and after a change.
-
-    Args:
-        steady: sends per step or per second with constant set-points, by link; empty if a timetable has no such steps.
-        after: sends per step or per second in the window after a change, by link.
-        window: length of the window in seconds, or in steps of a plant without ``dt``.
-        seconds: whether the window is in seconds.
-    """
+    """Send rates with constant set-points, and after a change."""
 
     FIELDS: ClassVar[tuple[Field[SetPointSteps], ...]] = (
         Field("steady", key="rates_steady"),
@@ -56,10 +49,10 @@ class SetPointSteps(Result):
         *plain_fields("window"),
     )
 
-    steady: Mapping[str, Estimate] = field(hash=False)
-    after: Mapping[str, Estimate] = field(hash=False)
-    window: float
-    seconds: bool
+    steady: Mapping[str, Estimate] = field(hash=False)  # by link; empty if a timetable has no such steps
+    after: Mapping[str, Estimate] = field(hash=False)  # by link, in the window
+    window: float  # length of the window in seconds, or in steps of a plant without ``dt``
+    seconds: bool  # whether the window is in seconds
 
     def sentence(self, unit: str) -> str:
         """Write the rates as one sentence. The argument states the unit of the rates."""
