@@ -160,7 +160,7 @@ def test_rates_around_a_change_are_told() -> None:
     alone = still.rates["actuator"]
     assert abs(constant.value - alone.value) < 4 * np.hypot(constant.standard_error, alone.standard_error)
     assert abs(after.value - constant.value) > 10 * np.hypot(after.standard_error, constant.standard_error)
-    document = found.to_json()
+    document = found.document()
     assert {"rates_steady", "rate_after_step", "window"} <= document.keys()
     assert f"within {around.window:.3g} s after a change" in str(found)
 
