@@ -33,7 +33,7 @@ from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
-from taciturn.design.silence import send_every_sample
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops
@@ -215,7 +215,7 @@ def _evaluated(
     with _part("cost without limits", notes):
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
     around = None
-    if after_step:
+    if after_step and policy.theory.closed_form is None:  # it sends at fixed steps
         with _part("send rates around changes of the set-points", notes):
             around = rates_around_steps(loop, request.seed, pace)
     # the reason why there is no periodic control is no evidence if it is a lack of time
@@ -462,7 +462,7 @@ def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:
         plain = _without_disturbance(kept)
-        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
+        return send_at_fixed_steps("this controller", problem.plant, problem.cost, period, plain).cost_all_time
     except TaciturnError:  # such as a loop whose cost is infinite
         return None
 
