@@ -325,14 +325,15 @@ class KeptPolicy:
     def __init__(
         self, model: Model, given: Given, *, link: str, silence: str, law: Law, rule: str, level: float,
         every: int = 1, retry: bool = False, always: bool = False, told: bool = True, base: Base | None = None,
-        watched: bool = True, follows: Follows | None = None,
+        watched: bool = True, follows: Follows | None = None, cycle: tuple[int, ...] = (1,),
     ) -> None:  # fmt: skip
         """Keep everything.
 
         Args:
             model, given, link, silence, law, every, retry: as in the file.
-            rule: "cost" or "band".
+            rule: "cost", "band" or "clock".
             level: δ, or Δ.
+            cycle: intervals between the packets of a clock.
             always: whether every sample is attempted.
             told: whether the sender learns what arrived; otherwise it assumes that everything does.
             base: the loop that always attempts.
@@ -343,6 +344,7 @@ class KeptPolicy:
         self.model, self.given, self.silence, self.law = model, given, silence, law
         self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
+        self.sends = [k == 0 for steps in cycle for k in range(steps)]
         self.always, self.told, self.base = always, told, base
         self.precision: Array | None = None  # of the innovations, whose squares raise an alarm
         # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
@@ -441,6 +443,8 @@ class KeptPolicy:
         return self.shared.standard_normal((paths, self.q))
 
     def _wants(self, k: int, estimate: Array, y: Array, r: Array, sent: Array) -> Array:
+        if self.rule == "clock":
+            return np.full(len(y), self.sends[k % len(self.sends)])
         if self.rule == "band":
             return (np.abs(sent - self.h) > self.level).any(axis=1)
         assert self.base is not None
@@ -478,7 +482,7 @@ class KeptPolicy:
 
 
 def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy, KeptPolicy | None]:
-    """Return ``excess`` or ``send-on-delta`` with a controller, losses or options of a given base, and its twin."""
+    """Return a kind that keeps a controller, or ``excess`` over losses or with a given base, and its twin."""
     policy = tables["policy"]
     kind, silence = policy["kind"], policy.get("actuation", "hold")
     link = policy.get("link", "sensor" if kind == "send-on-delta" else "actuator")
@@ -487,7 +491,7 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
     if model.q or (model.s and "controller" not in tables):
         raise NotModelledError("a kept controller with disturbances, or LQG of this kind with set-points")
     law = nodes.laws.get(link, Law())
-    every = policy.get("every", 1)
+    every = 1 if kind == "periodic" else policy.get("every", 1)
     h = model.seconds if model.continuous else float(tables["plant"]["dt"])
     told = law.acknowledged or not law.lossy
     design = law if told else Law(least=law.least, most=law.most)
@@ -500,13 +504,16 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
     else:
         given = observer(model, every, policy.get("gains", "lqg"), design, silence)
     base = Base(model, given, link, "hold" if silence == "model" else silence, design, every, follows)
+    cycle = policy.get("every", 1) if kind == "periodic" else 1
     if kind == "send-on-delta":
         rule, level = "band", float(policy["delta"])
+    elif kind in ("all-time", "periodic"):
+        rule, level = "clock", 0.0
     else:
         level = float(policy["delta"]) if "delta" in policy else policy["theta"] * (base.exact - model.rest)
         rule = "cost"
     keys: dict[str, Any] = {"link": link, "silence": silence, "law": law, "rule": rule, "every": every, "told": told,
-                            "follows": follows}  # fmt: skip
+                            "follows": follows, "cycle": tuple(np.atleast_1d(cycle).tolist())}  # fmt: skip
     keys["retry"] = policy.get("retry", False)
     plain = link == "actuator" and every == 1 and silence != "zero" and not (law.lossy and told)
     keys["watched"] = "controller" in tables or not plain  # LQG alone needs no alarm

@@ -141,12 +141,15 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "losses": ("lossy-lqg", "distributed", "excess"), "acknowledged losses": ("excess", "lossy-lqg"),
     "acknowledged losses of sensors": ("excess", "lossy-lqg"), "bursts": ("excess", "lossy-lqg"),
     "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
-    "delay": ("lossy-lqg",), "proportional and integral": ("excess", "send-on-delta", "distributed"),
-    "PID": ("excess", "event-pid", "distributed"), "proportional": ("excess", "send-on-delta", "distributed"),
-    "gain": ("excess", "send-on-delta", "distributed"),
-    "linear controller": ("excess", "send-on-delta", "distributed"),
-    "linear controller that is told": ("excess", "send-on-delta", "distributed"),
-    "positive sign": ("excess", "send-on-delta", "distributed"), "predicted probes": ("distributed",),
+    "delay": ("lossy-lqg",),
+    "proportional and integral": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "PID": ("excess", "event-pid", "distributed", "all-time", "periodic"),
+    "proportional": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "gain": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "linear controller": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "linear controller that is told": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "positive sign": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "predicted probes": ("distributed",),
     "joint": ("distributed",), "shares": ("distributed", "send-on-delta"),
     "sensor decides": ("excess", "send-on-delta"), "actuator link": ("send-on-delta", "excess"),
     "slower base": ("excess",), "gains for losses": ("excess",), "retry": ("excess",), "separate trigger": ("lqg",),
@@ -181,7 +184,7 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
                 add(partner)
     groups = {known[name].group for name in found}
     if "controller" in groups and groups & FOLLOWED:
-        add(f"kind {rng.choice(['distributed', 'excess', 'send-on-delta'])}")
+        add(f"kind {rng.choice(['distributed', 'excess', 'send-on-delta', 'all-time', 'periodic'])}")
     wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
     if wishes:
         add(f"kind {rng.choice(wishes)}")

@@ -253,7 +253,7 @@ def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest:
     if disturbance is None:
         return None
     modes = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K))
-    n, m = (plant.alone or plant).stated, plant.inputs
+    n, m = plant.stated - plant.set_points, plant.inputs
     # nothing moves the disturbances, so the loop has their decay per step as modes, up to rounding
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
     rest = np.delete(modes, slow)
