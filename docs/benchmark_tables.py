@@ -263,7 +263,7 @@ def misra() -> None:
     print(f"{'rule':7}{'category':10}" + "".join(f"{version:>8}" for version in found["versions"]) + "  reason")
     for rule, row in found["rules"].items():
         numbers = "".join(f"{row['found'].get(version, 0):8}" for version in found["versions"])
-        first, *rest = textwrap.wrap(row["reason"], 70)
+        first, *rest = textwrap.wrap(row["reason"], 64)
         print(f"{rule:7}{row['category']:10}{numbers}  {first}", *(f"{'':35}{line}" for line in rest), sep="\n")
 
 

@@ -1,4 +1,4 @@
-"""A policy kind of one's own: the threshold of the trigger decays with the time since the last send."""
+"""A policy kind: the threshold decays with the time since the last send."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from taciturn.model.trigger import Form
 
 
 def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Policy:
-    """Design LQG control that sends when silence would cost more than a threshold that decays until the next send.
+    """Design LQG control that sends when silence costs more than a decaying threshold.
 
-    With the held input û, the command Lx and H = R + B'KB, an input is sent iff (û − Lx)'H(û − Lx) > δρ^k, k steps
-    after the step that follows the last send.
+    With the held input û, the command Lx and H = R + B'KB, an input is sent iff
+    (û − Lx)'H(û − Lx) > δρ^k, k steps after the step that follows the last send.
 
     Args:
         plant: discrete-time plant with measured full state.
@@ -28,15 +28,18 @@ def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Pol
 
     Source: astrom2002
     """
-    found, unit = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N), np.eye(plant.inputs)
+    found = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    unit = np.eye(plant.inputs)
+    forms = {"silent": Form(("gap",), found.H), "send": Form(plus={"level": 1.0})}
+    arrived = Received("actuator")
     steps = (
         Assign("controller", "command", {"y": found.L}),
         Assign("controller", "gap", {"command": unit, "held": -unit}),
-        Decide("controller", "send", Trigger({"silent": Form(("gap",), found.H), "send": Form(plus={"level": 1.0})})),
+        Decide("controller", "send", Trigger(forms)),
         Send("controller", "actuator", ("command",), "send"),
         Assign("controller", "held", ({"held": unit}, {"command": unit}), "send"),
         Assign("controller", "level", ({"level": [[rho]]}, {ONE: [[delta]]}), "send"),
-        Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator")),
+        Assign("actuator", "input", ({"input": unit}, {"command": unit}), arrived),
     )
     return Policy(
         kind="decaying",
@@ -51,7 +54,7 @@ def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Pol
 KIND = Kind(
     name="decaying",
     design=decaying,
-    goal="a threshold that forgets: rare sends after a send, and none that is long overdue",
+    goal="a threshold that forgets: rare sends after a send, none that is long overdue",
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.1},
     built_in="lossy-double-integrator",

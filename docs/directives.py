@@ -9,20 +9,27 @@ import sys
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
 from kind_tables import kind_table, problem_table
 from names import listing, mend, shorten, told
+from pygments.lexers import TOMLLexer
+from pygments.token import Comment
 from result_tables import key_table
 from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pygments.token import _TokenType
     from sphinx.application import Sphinx
+    from sphinx.environment import BuildEnvironment
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
+    app.add_lexer("toml", ProblemFile)
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
     app.add_directive("cards", Cards)
@@ -32,6 +39,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("problems", Problems)
     app.connect("env-updated", lambda app, env: ["gallery", "index"])  # they show what the other pages are
     app.connect("doctree-read", _describe)
+    app.connect("doctree-read", _find_plain)
     app.connect("doctree-resolved", _collect)
     app.connect("doctree-resolved", _picture_cards)
     app.connect("build-finished", _save_explorers)
@@ -39,6 +47,15 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+class ProblemFile(TOMLLexer):
+    """TOML in which a key behind a number sign, ``#key``, is a key that is left out, and ``# text`` a comment."""
+
+    def get_tokens_unprocessed(self, text: str, *rest: Any) -> Iterator[tuple[int, _TokenType, str]]:
+        """Mark the keys that are left out."""
+        for place, token, value in super().get_tokens_unprocessed(text, *rest):
+            yield place, Comment.Preproc if token is Comment.Single and value[1:2].strip() else token, value
 
 
 class Names(SphinxDirective):
@@ -86,6 +103,14 @@ class Cards(SphinxDirective):
         return [cards]
 
 
+_FIT = """<script>
+addEventListener("message", ({ source, data }) => {
+  for (const frame of document.querySelectorAll("iframe.explorer"))
+    if (frame.contentWindow === source && data.height > 0) frame.style.height = `${data.height + 2}px`;
+});
+</script>"""  # a frame is as high as the page in it says
+
+
 class Explorer(SphinxDirective):
     """The page of ``taciturn explore`` for a problem with changed parameters, saved without a server."""
 
@@ -100,8 +125,8 @@ class Explorer(SphinxDirective):
         self.env.metadata[self.env.docname].setdefault("explorers", {})[name] = (problem, *changes)
         page = escape(name)
         label = escape(f"Explore {problem}: cost against traffic, with a point that moves along its curve")
-        frame = f'<iframe class="explorer" src="{page}" title="{label}" loading="lazy"></iframe>'
-        return [nodes.raw("", frame, format="html")]
+        frame = f'<iframe class="explorer" src="{page}?plane" title="{label}" loading="lazy"></iframe>'
+        return [nodes.raw("", frame + _FIT, format="html")]
 
 
 class Kinds(SphinxDirective):
@@ -150,6 +175,15 @@ def _describe(app: Sphinx, tree: nodes.document) -> None:
         image["alt"] = " ".join(["Figure:", *titles, *(f"— {text.astext()}" for text in nearest)])[:300]
 
 
+def _find_plain(app: Sphinx, tree: nodes.document) -> None:
+    """Mark the figures of code cells whose colours do not follow those of the page."""
+    for image in tree.findall(nodes.image):
+        form, path = image.parent.get("mime_type"), Path(app.srcdir, image["uri"])
+        fixed = form == "image/svg+xml" and "prefers-color-scheme" not in path.read_text(encoding="utf-8")
+        if fixed or form == "image/png":
+            image["classes"].append("plain")
+
+
 def _line(node: nodes.Node) -> int:
     """Return the line of a node, or of the next one around it that has one."""
     around: nodes.Node | None = node
@@ -160,9 +194,17 @@ def _line(node: nodes.Node) -> int:
 
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
     for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
-        for page in sorted(app.env.found_docs - {name}):
+        for page in _in_order(app.env, app.config.root_doc, name):
             for image in filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)):
                 place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+
+
+def _in_order(env: BuildEnvironment, top: str, without: str) -> Iterator[str]:
+    """Return the pages below a page in the order of the menu, without one of them."""
+    for page in env.toctree_includes.get(top, []):
+        if page != without:
+            yield page
+        yield from _in_order(env, page, without)
 
 
 def _is_shown(image: nodes.image) -> bool:
@@ -179,7 +221,7 @@ def _picture_cards(app: Sphinx, tree: nodes.document, name: str) -> None:
         for card in list(cards.children):
             assert isinstance(card, nodes.container)
             page = card["page"]
-            image = next(iter(app.env.get_doctree(page).findall(nodes.image)), None)
+            image = next(filter(_is_shown, app.env.get_doctree(page).findall(nodes.image)), None)
             if image is None:
                 raise ValueError(f"the page {page} has no figure for its card")
             title, sentence = card.children
@@ -218,7 +260,8 @@ def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
     before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
     if before:
         caption += nodes.Text(". " + re.split(r"\.\s", before[-1].astext())[0].rstrip(".:") + ".")
-    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption)
+    only = [word for word in image["classes"] if word.startswith("only-")]  # a picture for one colour scheme
+    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption, classes=only)
 
 
 def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:

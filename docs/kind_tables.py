@@ -13,11 +13,13 @@ from taciturn.design.kind import Kind
 from taciturn.design.several_nodes import MOST_LINKS as MOST_SETS
 from taciturn.lqg import lossy
 from taciturn.model import cost, link, signals
+from taciturn.model.policy import Policy
 from taciturn.problem import matlab_and_numpy as matrices
 from taciturn.problem import read
 from taciturn.renewal.chain import MOST_STATES
 from taciturn.simulation import sampling
 from taciturn_limits.fitted import DIRECTIONS
+from taciturn_new.draft import example_of
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}
@@ -86,6 +88,20 @@ def goals(kinds: Sequence[Kind]) -> str:
         for kind in ordered
     ]
     return _table(("goal", "kind", "proved result", "relative to", "[sources](help.md#sources)"), rows)
+
+
+def glance(kinds: Sequence[Kind]) -> str:
+    """Return the tuning parameters of the kinds, the links on which they decide, and the guarantee of an example."""
+    rows: list[tuple[str, ...]] = []
+    for kind in kinds:
+        policy = example_of(kind).designed()
+        decides, proved = "sensor", "for analysis: solved, and run by no node"
+        if isinstance(policy, Policy):
+            exact = "exact cost and rate" if policy.theory.closed_form else "—"
+            decides = " and ".join(policy.scheduled) or "—"
+            proved = policy.guarantee.statement if policy.guarantee else exact
+        rows.append((f"`{kind.name}`", " or ".join(f"`{one.name}`" for one in kind.tuning) or "—", decides, proved))
+    return _table(("kind", "tuned by", "decides", "guarantee"), rows)
 
 
 def steps(kinds: Sequence[Kind]) -> str:
@@ -173,5 +189,5 @@ def _default(one: Parameter) -> str:
 
 TABLES = {
     "parameters": parameters, "problems": problems, "nodes": nodes, "goals": goals, "steps": steps, "limits": limits,
-    "sizes": sizes,
+    "glance": glance, "sizes": sizes,
 }  # fmt: skip

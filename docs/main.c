@@ -1,6 +1,8 @@
-/* The controller of the two masses on a board: what a program around an exported node has to do.
+/* The controller of the two masses on a board: what a program around an exported node
+ * has to do.
  *
- * The program needs the folder of `taciturn export two-mass --c nodes --node controller`, without the self-check.
+ * The program needs the folder of `taciturn export two-mass --c nodes --node controller`,
+ * without the self-check.
  */
 
 #include "two_mass_controller.h"
@@ -34,8 +36,10 @@ static void measure(tac_real *y)
 int main(void)
 {
   const tac_key none = {NULL, 0};
-  tac_node *node = two_mass_controller_start(&memory, 1, 0, none); /* 1: larger at each start */
-  for (uint64_t tick = 0; tick < 100; ++tick) { /* yours: for ever, a turn whenever the timer says so */
+  /* 1: larger at each start */
+  tac_node *node = two_mass_controller_start(&memory, 1, 0, none);
+  /* yours: for ever, a turn whenever the timer says so */
+  for (uint64_t tick = 0; tick < 100; ++tick) {
     tac_real y[2];
     size_t size;
     measure(y);

@@ -74,7 +74,7 @@ static queue to_plant;
 
 static const tac_key no_key = {NULL, 0U}; /* or a secret of 16 to 32 bytes */
 
-/* The task of the controller. Only this task calls functions with its node. ---------------------------------------- */
+/* The task of the controller. Only this task calls functions with its node. -------- */
 
 typedef struct {
   two_mass_controller memory;
@@ -87,7 +87,8 @@ typedef struct {
 static bool start_controller(controller_task *task) {
   task->node = two_mass_controller_start(&task->memory, 1U, 0U, no_key);
   if (task->node != NULL) {
-    tac_mark_after(task->node, 0U); /* after each step a mark, by which the actuator knows that the step is over */
+    /* after each step a mark, by which the actuator knows that the step is over */
+    tac_mark_after(task->node, 0U);
   }
   return task->node != NULL;
 }
@@ -98,12 +99,14 @@ static void poll_controller(controller_task *task) {
   tac_packet packet;
   size_t size;
   while (!task->measured && (size = take(&to_controller, datagram)) > 0U) {
-    tac_verdict verdict = tac_decode(&task->node->data->wire, no_key, datagram, size, &packet);
+    const tac_wire *wire = &task->node->data->wire;
+    tac_verdict verdict = tac_decode(wire, no_key, datagram, size, &packet);
     if (verdict == TAC_OK && packet.kind == (uint8_t)TAC_MEASUREMENT) {
       task->measurement = packet;
       task->measured = true;
     } else {
-      (void)tac_receive(task->node, datagram, size); /* which also counts what is refused */
+      /* which also counts what is refused */
+      (void)tac_receive(task->node, datagram, size);
     }
   }
   if (task->measured) {
@@ -111,12 +114,13 @@ static void poll_controller(controller_task *task) {
     task->measured = false;
   }
   while ((size = tac_send(task->node, datagram)) > 0U) {
-    task->sent += (datagram[5] == (uint8_t)TAC_DATA) ? 1U : 0U; /* byte 5 is the kind of the packet */
+    /* byte 5 is the kind of the packet */
+    task->sent += (datagram[5] == (uint8_t)TAC_DATA) ? 1U : 0U;
     put(&to_actuator, datagram, size);
   }
 }
 
-/* The task of the actuator. ----------------------------------------------------------------------------------------- */
+/* The task of the actuator. -------------------------------------------------------- */
 
 typedef struct {
   two_mass_actuator memory;

@@ -178,6 +178,35 @@ def test_the_index_lists_every_page() -> None:
     assert sorted([name for tree in trees for name in tree.split()] + ["index"]) == sorted(names)
 
 
+def wide(path: Path) -> list[str]:
+    """Return the lines of a page's code, and of the files that it includes, that need more than 88 columns."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        blocks = ["".join(cell["source"]) for cell in code_of(path)]
+    else:
+        plain = re.sub(r"^```\{(?!code-cell).*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+        blocks = re.findall(r"^```.*?\n(.*?)^```", plain, flags=re.DOTALL | re.MULTILINE)
+        names = re.findall(r"```\{literalinclude\} (\S+\.(?:toml|py))", text)
+        blocks += [(path.parent / name).read_text(encoding="utf-8") for name in names]
+    return [line for block in blocks for line in block.splitlines() if len(line) > 88]
+
+
+@pytest.mark.parametrize("path", [*sorted((ROOT / "docs").glob("*.md")), *NOTEBOOKS], ids=lambda path: path.stem)
+def test_code_fits_the_column_of_a_page(path: Path) -> None:
+    """A reader of the manual sees whole lines, without scrolling."""
+    assert wide(path) == []
+
+
+def test_a_wide_line_is_found(tmp_path: Path) -> None:
+    """In a cell, in a shell block and in an included file; not in prose or in the list of another directive."""
+    page, line = tmp_path / "page.md", "x" * 89
+    (tmp_path / "file.toml").write_text(line)
+    page.write_text(f"{line}\n```{{names}}\n{line}\n```\n```sh\n{line}\n```\n```{{code-cell}} python\n{line}\n```\n")
+    assert len(wide(page)) == 2
+    page.write_text("```{literalinclude} file.toml\n:language: toml\n```\n")
+    assert wide(page) == [line]
+
+
 def test_the_table_of_commands_has_every_command() -> None:
     """And no other."""
     from taciturn.cli.frame import app

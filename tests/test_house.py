@@ -21,7 +21,7 @@ SOURCE = ROOT / "src" / "taciturn"
 SATELLITES = tuple(sorted(path.name for path in SOURCE.parent.glob("taciturn_*")))
 FLOORS = {
     "errors": 0, "_arrays": 0, "_plugins": 0, "_modes": 0, "_rational": 0, "_scipy": 0, "_style": 0, "_figure": 0,
-    "_diagram": 0, "_files": 0, "_version": 0, "_progress": 0, "_process": 0, "_text": 0, "_display": 0,
+    "_places": 0, "_diagram": 0, "_files": 0, "_version": 0, "_progress": 0, "_process": 0, "_text": 0, "_display": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3,
@@ -37,7 +37,7 @@ FLOORS = {
 # siblings that may meet, in one direction; the command line uses the package as its users do
 MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_figure", "_style"), ("_style", "errors"),
-    ("_display", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
+    ("_figure", "_places"), ("_places", "_style"), ("_display", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_diagram", "_style"), ("_diagram", "_figure"), ("_diagram", "_text"),
     ("_rational", "_arrays"), ("_rational", "_modes"), ("_scipy", "_arrays"), ("_files", "_process"),
     ("_progress", "_arrays"), ("_progress", "_text"), ("_progress", "errors"), ("_plugins", "errors"),

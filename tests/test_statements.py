@@ -99,25 +99,23 @@ def test_losses_that_are_acknowledged_are_covered_as_the_pages_say() -> None:
     assert not unheard.close(unheard.designed()).nominal
 
 
-def test_the_caption_of_the_readme_is_what_the_problem_gives() -> None:
-    """The rate and the percentages, as evaluate gives them; the landing page has the same numbers."""
-    caption, landing = (
-        " ".join(path.read_text(encoding="utf-8").split()) for path in (ROOT / "README.md", DOCS / "index.md")
-    )
-    found = taciturn.evaluate(load("pid-tank").changed({"theta": 0.8}))
+def test_the_readme_states_what_the_problem_gives() -> None:
+    """Packets and costs of its table, as evaluate gives them, and the packets of the run in its picture."""
+    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    problem = load("pid-tank").changed({"theta": 0.8})
+    found, run = taciturn.evaluate(problem), taciturn.simulate(problem.close(problem.design()), 300, versus="periodic")
     base = found.cost_all_time
     assert base is not None
     assert found.clock is not None
     assert found.cost_bound_at_rate is not None
-    rate, more = f"{100 * found.rates['actuator'].value:.1f} %", f"{100 * (found.cost.value / base - 1):.2f} %"
-    periodic = f"{100 * (found.clock.cost / base - 1):.1f} %"
-    assert f"Sending only {rate} of the packets costs on average {more} more than sending every sample" in caption
-    assert f"(proven: at most {100 * (found.cost_bound_at_rate / base - 1):.1f} % more)" in caption
-    assert f"with the same number of packets costs {periodic} more than sending every sample" in caption
-    assert f"**{rate}** of the packets" in landing
-    assert f"**+{more}** cost" in landing
-    assert f"**+{periodic}** cost of periodic control" in landing
-    assert "taciturn simulate pid-tank --set theta=0.8" in caption
+    assert run.versus is not None
+    rate, more = f"{100 * found.rates['actuator'].value:.1f} %", f"+{100 * (found.cost.value / base - 1):.2f} %"
+    proven = f"+{100 * (found.cost_bound_at_rate / base - 1):.1f} %"
+    assert f"**Taciturn** | **{rate}** | **{more}** (proven: at most {proven})" in text
+    assert f"best fixed steps | {rate} | +{100 * (found.clock.cost / base - 1):.1f} %" in text
+    assert {int(one.sends["actuator"].sum()) for one in (run, run.versus)} == {64}
+    assert "In 300 samples, the controller sends 64 packets to the valve" in text
+    assert "taciturn simulate pid-tank --set theta=0.8 --steps 300 --versus periodic" in text.replace("\\ ", "")
 
 
 def test_a_benchmark_runs_the_command_that_it_names() -> None:

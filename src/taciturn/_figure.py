@@ -7,10 +7,11 @@ has one colour and one mark in all figures. ``draw`` makes the figure:
   to each other, with equal y axes in each row.
 * A key above each panel names its series, so that it never covers a curve; ``ends`` writes the names at the right ends
   of the curves instead. A ``Level`` is a line across the axes with its name at its end, a ``Band`` a shaded region.
+* The notes of points stand perpendicular to their curve, where they cover nothing, farther away with a thin line.
 * A ``Lane`` is a row of packets: a stroke for a delivered one, a cross for a dropped one, an open circle for a late
   one, with its name on the left, and a note such as the number of packets on the right.
-* An axis is logarithmic, or leaves out a ``gap``, if its values are far apart. An axis of costs has percentages above
-  that of sending every sample (``Above``), and shows what is far from it nearer, by the inverse hyperbolic sine.
+* An axis is logarithmic if its values are far apart. An axis of costs has percentages above that of sending every
+  sample (``Above``), and shows what is far from it nearer, by the inverse hyperbolic sine; its label says so.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
-from taciturn._style import DASHED, DOTTED, STYLES, Style, StyleName, Thing, figure_class, find_style
+from taciturn._places import Spot, along, covered, in_lines, key_width, place_beside, spread, text_width
+from taciturn._style import DASHED, DOTTED, STYLES, TONES, Hue, Style, StyleName, Thing, figure_class, find_style
 from taciturn._text import ending_text, folded
 from taciturn.errors import ProblemError
 
@@ -34,21 +36,22 @@ if TYPE_CHECKING:
 _FORMATS = (".svg", ".png", ".pdf")
 HEIGHT = 3.4  # of a panel that fills a figure, in inches
 _LINE = 1.45  # distance of lines of text, in heights of letters
-_LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
+_LONGEST_NAME = 26  # largest number of letters in a line of a name next to an axis
 _SLANT = 30  # degrees by which long labels of the x axis are rotated
 _LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 _LANE, _AROUND = 0.24, 0.12  # height of a lane, and of what is above and below all lanes, in inches
 _TICK = 0.3  # half of the height of the mark of a packet, in lanes
 _FLAT = 0.8  # height of a panel in inches, below which the label of its y axis is horizontal
-_GAP = 0.05  # height of a gap in an axis, as a part of the axis
 _APART = 4.0  # ratio of the farthest value to the near ones above which an axis bends
 _BESIDE = 0.88  # part of the width of the axes that a title and a key beside it fill at most, as names need room too
 _NUMBER = 0.75  # width of a percentage at an axis, with a distance, in inches
-_ROW = 0.3  # height of a row with a name, in inches
-_AROUND_A_POINT = ((-1, -1), (1, 1), (0, -1), (0, 1), (-1, 1), (1, -1))  # places of a note, in the order of preference
+ROW = 0.3  # height of a row with a name, in inches
+_EDGE = 0.06  # distance of titles from the edges of a figure, in inches
+_TINY = 1e-4  # end of a logarithmic axis below which its numbers are powers of ten
+_RING = 1.0  # radius of a ring around a mark, in sizes of the mark
 Size: TypeAlias = tuple[float, float]
-Curve = Literal["line", "dashed", "dotted", "steps", "points", "stems", "bars", "stalks", "histogram"]
-_BARS = "bars: ± 1 standard error"
+Cell: TypeAlias = "tuple[Any, Panel]"  # axes of matplotlib and what they show
+Curve = Literal["line", "dashed", "dotted", "steps", "points", "stems", "bars", "stalks", "histogram", "ring"]
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class Series:
 
     The error bars of the curve ``"bars"`` are in x.
 
-    A ``"histogram"`` has one more x, the edges of its classes. The curve ``"points"`` has marks alone, and ``"stalks"``
-    are bars with lines from 0 to their marks.
+    A ``"histogram"`` has one more x, the edges of its classes. The curve ``"points"`` has marks alone, ``"stalks"`` are
+    bars with lines from 0 to their marks, and a ``"ring"`` surrounds a mark of another series.
     """
 
     x: Sequence[float]
@@ -69,6 +72,7 @@ class Series:
     thing: Thing | int = 0
     faint: bool = False  # whether it is secondary, such as the estimate of a state
     notes: Sequence[str] = ()  # beside its points, such as the parameter of each; those without room are left out
+    signal: int | None = None  # its number among several signals of the thing, which differ in dash and tone
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ class Band:
     x: Sequence[float] | None = None
     label: str = ""
     thing: Thing | int = "unreachable"
-    text: str = ""  # within the region, at the lower end of the axis
+    text: str = ""  # within the region, at the right of the lower end of the axis
 
 
 @dataclass(frozen=True)
@@ -124,13 +128,18 @@ class Above:
         outer = max((abs(value - base) for value in (*near, *far)), default=0.0)
         return cls(base, 0.3 * inner if outer > _APART * inner > 0 else None)
 
+    def label(self, cost: str, per: str) -> str:
+        """Return the label of the axis, which says whether the axis is bent."""
+        bent = "" if self.bend is None else "\n(axis: logarithmic far from 0)"
+        return f"{cost} above every sample, {self.base:.4g} {per}{bent}"
+
 
 @dataclass(frozen=True)
 class Panel:
-    """A pair of axes and its contents. The axis y shows ``names`` at 0, 1, …, and omits the interval ``gap``.
+    """A pair of axes and its contents. The axis y shows ``names`` at 0, 1, ….
 
-    ``notes`` are on the right of the names. ``height`` is in inches of a figure for a screen; a panel with names or
-    lanes has the height of its rows.
+    ``notes`` are on the right of the names, below their heading ``noted``. ``height`` is in inches of a figure for a
+    screen; a panel with names or lanes has the height of its rows.
     """
 
     series: Sequence[Series] = ()
@@ -139,29 +148,29 @@ class Panel:
     title: str = ""
     names: Sequence[str] = ()
     notes: Sequence[str] = ()
+    noted: str = ""
     xlim: tuple[float | None, float | None] | None = None
     ylim: tuple[float | None, float | None] | None = None
     xlog: bool = False
     ylog: bool = False
     xabove: Above | None = None
     yabove: Above | None = None
-    gap: tuple[float, float] | None = None
     bands: Sequence[Band] = ()
     levels: Sequence[Level] = ()
     lanes: Sequence[Lane] = ()
     ends: bool = False
     height: float = HEIGHT
-    thing: Thing | None = None  # that all of it shows, in whose colour the title is
+    thing: Thing | int | None = None  # that all of it shows, in whose colour the title is
     step: float | None = None  # distance of the steps on the x axis, which stems and packets leave free
-    empty: str = ""  # text in place of what it does not have
     note: str = ""  # above the panel, on the right
+    row: float = ROW  # height of a row with a name, in inches
 
     @property
     def inches(self) -> float:
         """Height of the panel, in inches, in a figure for the screen."""
         if self.lanes:
             return _LANE * len(self.lanes) + _AROUND
-        return _ROW * len(self.names) + _AROUND if self.names else self.height
+        return self.row * len(self.names) + _AROUND if self.names else self.height
 
     def inches_in(self, style: Style) -> float:
         """Return the height of the panel, in inches, in a given style. The height of a row of packets depends on the
@@ -202,54 +211,64 @@ def draw(
     used, context = find_style(style), cast("Any", rc_context)
     given = _check_canvas(ax, figsize, sum(map(len, grid)))
     with context(used.settings):
-        figure, axes = (given[0].figure, given) if given else _new_figure(grid, figsize, used)
-        for axis, panel in zip(axes, chain(*grid), strict=True):
+        axes = given or _new_axes(grid, figsize, used)
+        cells: list[Cell] = [*zip(axes, chain(*grid), strict=True)]
+        rows = [cells[k : k + len(grid[0])] for k in range(0, len(cells), len(grid[0]))]
+        figure = axes[0].figure
+        for axis, panel in cells:
             if given:
                 _dress(axis, used)
             _fill(axis, panel, used)
         if not given:
-            _trim(axes, grid)
+            _trim(rows)
             for flat in (False, True):
-                alike = [one.inches < _FLAT for one in chain(*grid)]
-                figure.align_ylabels([axis for axis, one in zip(axes, alike, strict=True) if one == flat])
+                figure.align_ylabels([axis for axis, panel in cells if (panel.inches < _FLAT) == flat])
             figure.get_layout_engine().execute(figure)  # names and keys need the places of the axes
-        for index, row in enumerate(grid):
-            beside = axes[index * len(row) : (index + 1) * len(row)]
-            for axis, panel in zip(beside, row, strict=True):
+        alone = not given and len(grid[0]) == 1  # then titles begin at the left edge of the figure
+        for row in rows:
+            for axis, panel in row:
                 _name_ends(axis, panel, used)
-            _name(beside, row, used)
+            _name(row, used, alone)
         if not given:
             figure.get_layout_engine().execute(figure)  # with names and keys
-            for axis, panel in zip(axes, chain(*grid), strict=True):
+            for axis, panel in cells:
                 _fold_labels(axis, panel, used)
             figure.get_layout_engine().execute(figure)
             if figsize is None:
-                _make_room(axes, grid, used)
-        for axis, panel in zip(axes, chain(*grid), strict=True):
+                _make_room(rows, used)
+        for axis, panel in cells:
             _note_points(axis, panel, used)
             _separate(axis, used)
     return figure
 
 
-def _new_figure(grid: Sequence[Sequence[Panel]], figsize: Size | None, style: Style) -> tuple[Any, list[Any]]:
-    """Return a figure with axes for rows of panels, row by row."""
+def _new_axes(grid: Sequence[Sequence[Panel]], figsize: Size | None, style: Style) -> list[Any]:
+    """Return the axes of a new figure for rows of panels, row by row."""
     heights = [max(panel.inches_in(style) for panel in row) for row in grid]
     heads = [sum((bool(one.title), bool(one.note), _is_named(one))) for row in grid for one in row[:1]]
     keys = sum(1.4 * style.letters / 72 * min(lines, 2) for lines in heads)
     labels = sum(2.2 * style.letters / 72 for row in grid if any(one.xlabel for one in row))
-    size = figsize or (
-        style.width if len(grid[0]) == 1 else style.wide,
-        sum(heights) + keys + labels + 0.2,
-    )
+    wide = len(grid[0])
+    size = figsize or (style.width if wide == 1 else style.wide, sum(heights) + keys + labels + 0.2)
     figure: Any = figure_class()(figsize=size, layout="constrained")
     figure.style = style
     own_axis = any(panel.xlabel for row in grid[:-1] for panel in row)
-    wide = len(grid[0]) > 1
     axes = figure.subplots(
-        len(grid), len(grid[0]), squeeze=False, sharex=False if own_axis else "col", sharey="row" if wide else False,
+        len(grid), wide, squeeze=False, sharex=False if own_axis else "col", sharey="row" if wide > 1 else False,
         height_ratios=heights,
     )  # fmt: skip
-    return figure, list(axes.flat)
+    return list(axes.flat)
+
+
+def _trim(rows: Sequence[Sequence[Cell]]) -> None:
+    """Leave out labels of axes that are shared."""
+    for row in rows:
+        for place, (axis, panel) in enumerate(row):
+            if place:
+                axis.set_ylabel("")
+                axis.tick_params(labelleft=False)
+            if row is not rows[-1] and not panel.xlabel:
+                axis.spines["bottom"].set_visible(False)
 
 
 def _fold_labels(axis: Any, panel: Panel, style: Style) -> None:
@@ -258,14 +277,15 @@ def _fold_labels(axis: Any, panel: Panel, style: Style) -> None:
     wide = 72 * figure.get_figwidth() * place.width
     tall = 72 * max(figure.get_figheight() * place.height, panel.inches_in(style))  # which it has in the end
     for label, room in ((axis.xaxis.label, wide), (axis.yaxis.label, tall)):
-        label.set_text(_folded(label.get_text(), letters, room + 2 * letters, style))  # set_label would align it anew
+        label.set_text(in_lines(label.get_text(), letters, room + letters, style))  # set_label would align it anew
+        label.set_linespacing(style.spacing)
 
 
-def _make_room(axes: Sequence[Any], grid: Sequence[Sequence[Panel]], style: Style) -> None:
+def _make_room(rows: Sequence[Sequence[Cell]], style: Style) -> None:
     """Make a figure so high that its panels have their heights, whatever titles, keys and labels need."""
-    figure, wide = axes[0].figure, len(grid[0])
-    wanted = sum(max(panel.inches_in(style) for panel in row) for row in grid)
-    missing = wanted - figure.get_figheight() * sum(axis.get_position().height for axis in axes[::wide])
+    figure = rows[0][0][0].figure
+    wanted = sum(max(panel.inches_in(style) for _, panel in row) for row in rows)
+    missing = wanted - figure.get_figheight() * sum(row[0][0].get_position().height for row in rows)
     if missing > 0.01:
         figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + missing)
         figure.get_layout_engine().execute(figure)
@@ -284,17 +304,6 @@ def _dress(axis: Any, style: Style) -> None:
         labelfontfamily=settings["font.family"],
     )  # fmt: skip
     axis.set_axisbelow(True)
-
-
-def _trim(axes: Sequence[Any], grid: Sequence[Sequence[Panel]]) -> None:
-    """Leave out labels of axes that are shared."""
-    wide = len(grid[0])
-    for index, axis in enumerate(axes):
-        if index % wide:
-            axis.set_ylabel("")
-            axis.tick_params(labelleft=False)
-        if index + wide < len(axes) and not grid[index // wide][index % wide].xlabel:
-            axis.spines["bottom"].set_visible(False)
 
 
 def _is_named(panel: Panel) -> bool:
@@ -330,32 +339,20 @@ def _fill(axis: Any, panel: Panel, style: Style) -> None:
         _level(axis, level, style)
     if panel.lanes:
         _lanes(axis, panel, style)
-    if panel.gap is not None:
-        _leave_out(axis, panel.gap, style)
-    if panel.empty:
-        axis.grid(visible=False)
-        axis.spines["left"].set_visible(False)
-        axis.text(
-            0.0,
-            0.5,
-            panel.empty,
-            transform=axis.transAxes,
-            va="center",
-            color=style.hues["muted"],
-            fontsize=0.9 * style.letters,
-        )
     axis.yaxis.get_offset_text().set_horizontalalignment("right")  # a power of ten, left of the key
     axis.set_xlabel(panel.xlabel)
     axis.set_ylabel(panel.ylabel)
     if panel.inches < _FLAT:
         axis.yaxis.label.set(rotation=0, ha="right", va="center", color=style.hues["ink"])
     if panel.names:
-        axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, _LONGEST_NAME)) for name in panel.names])
+        names = ["\n".join(folded(name, _LONGEST_NAME)) for name in panel.names]
+        axis.set_yticks(range(len(names)), names, linespacing=style.spacing)
         axis.set_ylim(-0.5, len(panel.names) - 0.5)
         axis.margins(x=0.04)  # a mark at the end is whole
         axis.grid(visible=False, axis="y")
     for row, note in enumerate(panel.notes):
         _note(axis, row, note, style)
+    _note(axis, len(panel.names) - 0.5, panel.noted, style)
 
 
 def _note(axis: Any, row: float, note: str, style: Style) -> None:
@@ -414,7 +411,7 @@ def _tick_percent(axis: Any, which: str, above: Above) -> None:
 
 def _tick_logarithm(axis: Any, which: str, most: int) -> None:
     """Write plain numbers at a logarithmic axis, at least two and about so many at most."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
 
     low, high = getattr(axis, f"get_{which}lim")()
     decades = math.log10(high / low)
@@ -422,15 +419,21 @@ def _tick_logarithm(axis: Any, which: str, most: int) -> None:
     scale.set_major_locator(
         LogLocator(subs=(1,) if decades > 2 else (1, 3) if decades > 1 else (1, 2, 5), numticks=most)
     )
-    scale.set_major_formatter(StrMethodFormatter("{x:g}"))
+    scale.set_major_formatter(FuncFormatter(_power) if decades > 2 and low < _TINY else StrMethodFormatter("{x:g}"))
     scale.set_minor_formatter(NullFormatter())
+
+
+def _power(value: float, _: object) -> str:
+    """Write a power of ten."""
+    return f"$10^{{{round(math.log10(value))}}}$"
 
 
 def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
     """Draw one series."""
-    look, color = style.look(series.thing), style.color(series.thing)
+    look, color = style.look(series.thing), style.color(series.thing, series.signal or 0)
     width = style.line * look.width * (0.6 if series.faint else 1.0)
-    dash: Any = {"dashed": DASHED, "dotted": DOTTED}.get(series.curve, look.dash)
+    plain = look if series.signal is None else style.look(series.signal)
+    dash: Any = {"dashed": DASHED, "dotted": DOTTED}.get(series.curve, plain.dash)
     lines: Any = {"color": color, "linewidth": width, "linestyle": (0, dash) if dash else "-", "label": series.label}
     lines |= {"zorder": 1.9} if series.faint else {}
     size = (3.2 * style.line + 1.0) * (0.6 if series.faint else 1.0)
@@ -452,6 +455,9 @@ def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
         if series.curve == "stalks":
             axis.hlines(series.y, 0, series.x, color=color, linewidth=width)
         axis.errorbar(series.x, series.y, xerr=error, linestyle="none", label=series.label, **marks, **bars)
+    elif series.curve == "ring":
+        around = marks | {"markersize": 2 * _RING * size, "markerfacecolor": "none", "markeredgecolor": color}
+        axis.plot(series.x, series.y, linestyle="none", **around | {"marker": "o", "markeredgewidth": 0.8 * style.line})
     elif series.curve == "points":
         axis.errorbar(series.x, series.y, yerr=error, linestyle="none", label=series.label, **marks, **bars)
     elif series.error is not None:
@@ -461,64 +467,70 @@ def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
 
 
 def _note_points(axis: Any, panel: Panel, style: Style) -> None:
-    """Write the notes of points where they cover neither a curve nor each other; without room, they are left out."""
+    """Write the notes of points beside them; those without room are left out."""
     letters, pixels = 0.8 * style.letters, axis.figure.dpi / 72
-    drawn = [(*zip(one.x, one.y, strict=True),) for one in panel.series if one.curve in ("line", "dashed", "dotted")]
-    drawn += [tuple((x, level.at) for x in axis.get_xlim()) for level in panel.levels if level.axis == "y"]
-    taken = [place for points in drawn for place in _along(axis.transData.transform(points) / pixels, letters / 4)]
-    written = [text.get_window_extent() for text in axis.texts if text.get_text()]
-    taken += [
-        (box.x0 / pixels + k * box.width / pixels / 40, box.y0 / pixels + n * box.height / pixels / 2)
-        for box in written
-        for k in range(41)
-        for n in range(3)
-    ]
+
+    def spots(points: Sequence[tuple[float, float]]) -> list[Spot]:
+        return [(float(x) / pixels, float(y) / pixels) for x, y in axis.transData.transform(points)]
+
+    lines = [one for one in panel.series if one.curve in ("line", "dashed", "dotted")]
+    drawn = [(one, along(spots([*zip(one.x, one.y, strict=True)]), letters / 4)) for one in lines]
+    levels = [[(x, level.at) for x in axis.get_xlim()] for level in panel.levels if level.axis == "y"]
+    taken = [spot for level in levels for spot in along(spots(level), letters / 4)]
+    for text in axis.texts:
+        if text.get_text():
+            box = text.get_window_extent()
+            taken += covered(box.x0 / pixels, box.y0 / pixels, box.width / pixels, box.height / pixels)
+    rings = {(x, y) for one in panel.series if one.curve == "ring" for x, y in zip(one.x, one.y, strict=True)}
     frame = axis.get_window_extent()
     inside = frame.x0 / pixels, frame.y0 / pixels, frame.x1 / pixels, frame.y1 / pixels
-    away = 0.45 * letters
-    for series in panel.series:
-        for x, y, note in zip(series.x, series.y, series.notes, strict=bool(series.notes)):
-            wide, tall = _width(note, letters, style), 0.75 * letters
-            middle, level = (float(one) / pixels for one in axis.transData.transform((x, y)))
-            for across, up in _AROUND_A_POINT:
-                left = middle + across * away - wide * (1 - across) / 2
-                below = level + up * away * (1 if across else 1.5) - tall * (1 - up) / 2
-                box = left, below, left + wide, below + tall
-                kept = inside[0] < box[0] and inside[1] < box[1] and box[2] < inside[2] and box[3] < inside[3]
-                if kept and not any(box[0] - 1 < a < box[2] + 1 and box[1] - 1.5 < b < box[3] + 1.5 for a, b in taken):
-                    taken += [(box[0] + k * wide / 8, box[1] + n * tall / 2) for k in range(9) for n in range(3)]
-                    axis.annotate(
-                        note, (x, y), (left - middle, below - level), "data", "offset points", ha="left", va="baseline",
-                        color=style.color(series.thing), fontsize=letters,
-                    )  # fmt: skip
-                    break
+    for series in (one for one in panel.series if one.notes):
+        listed = [*zip(series.x, series.y, strict=True)]
+        points, color = spots(listed), style.color(series.thing)
+        own = [spot for one, curve in drawn if one is series for spot in curve]
+        others = [spot for one, curve in drawn if one is not series for spot in curve]
+        for index in sorted(range(len(series.notes)), key=lambda one: listed[one] not in rings):
+            at, note = listed[index], series.notes[index]
+            size, mark = (text_width(note, letters, style), 0.75 * letters), 1.9 * style.line if at in rings else 0.0
+            found = place_beside(points, index, size, inside, (own, others, taken), letters, mark)
+            if found is not None:
+                left, below, near = found
+                taken += covered(left, below, *size)
+                moved = left - points[index][0], below - points[index][1]
+                line: Any = {"arrowstyle": "-", "color": color, "linewidth": 0.4 * style.line, "shrinkA": 0}
+                axis.annotate(
+                    note, at, moved, "data", "offset points", ha="left", va="baseline", color=color, fontsize=letters,
+                    arrowprops=None if near else line | {"shrinkB": 1.6 * style.line}, path_effects=_halo(style),
+                )  # fmt: skip
 
 
-def _along(points: Any, apart: float) -> list[tuple[float, float]]:
-    """Return places along a curve that are so far apart at most."""
-    found: list[tuple[float, float]] = []
-    for (a, b), (c, d) in pairwise(points.tolist()):
-        steps = 1 + min(int(math.hypot(c - a, d - b) / apart), 2000)
-        found += [(a + k * (c - a) / steps, b + k * (d - b) / steps) for k in range(steps + 1)]
-    return found
+def _halo(style: Style) -> list[Any]:
+    """Return an outline of letters in the colour of the background, which keeps them legible above a region."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.0 * style.line, foreground=style.background)]
 
 
 def _shade(axis: Any, band: Band, style: Style) -> None:
     """Shade a region, without a change of the axes."""
-    hue = {"limits": "forbidden", "unreachable": "shade"}.get(str(band.thing))
-    color = style.hues[cast("Any", hue)] if hue else style.color(band.thing)
+    hue: Hue | None = {"limits": "forbidden", "unreachable": "shade"}.get(str(band.thing))  # pyright: ignore
+    color = style.hues[hue] if hue else style.color(band.thing)
     x, y = axis.get_xlim(), axis.get_ylim()
     low, high = (end if one is None else one for one, end in zip((band.low, band.high), sorted(y), strict=True))
-    given: Any = {"color": color, "linewidth": 0, "zorder": 0, "label": band.label, "alpha": None if hue else 0.2}
+    given: Any = {"facecolor": color, "linewidth": 0, "zorder": 0, "label": band.label, "alpha": None if hue else 0.2}
+    if band.thing == "unreachable":
+        given |= {"hatch": "////", "edgecolor": style.toned("shade", TONES[2])}
     if band.x is None and not isinstance(low, Sequence) and not isinstance(high, Sequence):
         axis.axhspan(low, high, **given)
     else:
         axis.fill_between(x if band.x is None else band.x, low, high, **given)
     axis.set(xlim=x, ylim=y)
     if band.text:
+        right = x[1] if band.x is None else band.x[-1]
         axis.annotate(
-            band.text, (1.0, 0.0), (-4, 4), "axes fraction", "offset points", ha="right", va="bottom",
-            color=style.hues["muted"], fontsize=0.85 * style.letters,
+            band.text, (right, 0.0), (-4, 5), axis.get_xaxis_transform(), "offset points", ha="right", va="bottom",
+            color=style.hues["ink"], fontsize=0.85 * style.letters,
+            bbox={"facecolor": color, "edgecolor": "none", "pad": 1.5},
         )  # fmt: skip
 
 
@@ -577,37 +589,6 @@ def _room(axis: Any, times: Sequence[float], step: float | None) -> float:
     return 72 * axis.get_position().width * axis.figure.get_figwidth() / (abs(high - low) / apart + 1)
 
 
-def _leave_out(axis: Any, gap: tuple[float, float], style: Style) -> None:
-    """Compress a part of the y axis, and mark it as a gap."""
-    import numpy as np
-    from matplotlib.ticker import FixedLocator, MaxNLocator
-
-    (low, high), (begin, end) = axis.get_ylim(), gap
-    far = 10 * (high - low)
-    kept = high - low - (end - begin)
-    top = begin + _GAP / (1 - _GAP) * kept  # place of the end of the gap
-    values, places = (begin - far, begin, end, end + far), (begin - far, begin, top, top + far)
-
-    interpolate: Any = np.interp
-
-    def forward(value: Any) -> Any:
-        return interpolate(value, values, places)
-
-    def backward(place: Any) -> Any:
-        return interpolate(place, places, values)
-
-    ticks = [*MaxNLocator(4).tick_values(low, begin), *MaxNLocator(3).tick_values(end, high)]
-    axis.set_yscale("function", functions=(forward, backward))
-    axis.set_ylim(low, high)
-    axis.yaxis.set_major_locator(FixedLocator([one for one in ticks if low <= one <= begin or end <= one <= high]))
-    axis.axhspan(begin, end, color=style.background, linewidth=0, zorder=4)
-    for edge in gap:  # the two strokes of a broken axis
-        axis.plot(
-            [0], [edge], marker=[(-1, -0.5), (1, 0.5)], markersize=6, color=style.hues["muted"], linestyle="none",
-            transform=axis.get_yaxis_transform(), clip_on=False, zorder=5, markeredgewidth=0.6 * style.line,
-        )  # fmt: skip
-
-
 def _name_ends(axis: Any, panel: Panel, style: Style) -> None:
     """Write the names of levels and, if wanted, of series to the right of the axes, without overlaps."""
     right = axis.get_xlim()[1]
@@ -621,14 +602,14 @@ def _name_ends(axis: Any, panel: Panel, style: Style) -> None:
     shown = [one for one, place in zip(found, places, strict=True) if -0.01 <= place <= 1.01]
     places = [place for place in places if -0.01 <= place <= 1.01]
     inches = axis.get_position().height * axis.figure.get_figheight()
-    free = _spread(places, 1.2 * style.letters / 72 / inches)
+    free = spread(places, 1.2 * style.letters / 72 / inches)
     for (x, y, label, color), place, moved in zip(shown, places, free, strict=True):
         far = x < right or abs(moved - place) > 1e-6
         line: Any = {"arrowstyle": "-", "color": color, "linewidth": 0.4 * style.line, "shrinkA": 1, "shrinkB": 0}
         axis.annotate(
             label, (x, y), (1.0 + 0.1 / axis.figure.get_figwidth() * (2 if far else 1), moved), "data", "axes fraction",
             va="center", annotation_clip=False, color=color, fontsize=0.9 * style.letters,
-            arrowprops=line if far else None,
+            arrowprops=line if far else None, linespacing=style.spacing,
         )  # fmt: skip
 
 
@@ -638,92 +619,74 @@ def _middle(band: Band) -> float:
     return (low + high) / 2
 
 
-def _spread(places: Sequence[float], apart: float) -> list[float]:
-    """Return places in the order of the given places, as near to them as possible, with at least a given distance."""
-    order = sorted(range(len(places)), key=lambda index: places[index])
-    groups: list[tuple[float, int]] = []  # centre and number of places that touch
-    for index in order:
-        centre, size = places[index], 1
-        while groups and groups[-1][0] + apart * (groups[-1][1] + size) / 2 > centre:
-            other, more = groups.pop()
-            centre = (centre * size + other * more) / (size + more)
-            size += more
-        groups.append((centre, size))
-    found = [centre + apart * (k - (size - 1) / 2) for centre, size in groups for k in range(size)]
-    return [place for _, place in sorted(zip(order, found, strict=True))]
+def _name(row: Sequence[Cell], style: Style, alone: bool) -> None:
+    """Write titles and notes of a row of panels, and one key for all: each next to the other if there is room.
 
+    Each panel has a key of its own if their curves have different colours. In a figure of one column, titles and
+    the notes below them begin at the left edge of the figure.
+    """
+    from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
-def _name(axes: Sequence[Any], row: Sequence[Panel], style: Style) -> None:
-    """Write titles and notes of a row of panels, and one key for all: each next to the other if there is room."""
-    named: dict[str, Any] = {}
-    for axis, panel in zip(axes, row, strict=True):
-        ends = {one.label for one in (*panel.series, *panel.bands)} if panel.ends else set[str]()
-        handles, labels = axis.get_legend_handles_labels()
-        drawn = {label: one for one, label in zip(handles, labels, strict=True)}
-        order = [one.label for one in (*panel.series, *panel.bands)]
-        named = {label: drawn[label] for label in order if label in drawn and label not in ends} | named
-    first, letters = axes[0], 0.9 * style.letters
-    points = 72 * first.figure.get_figwidth()
-    inside = points * first.get_position().width
-    titles = [_width(panel.title, 1.25 * style.letters, style) for panel in row]  # bold
-    notes = [_width(panel.note, letters, style) for panel in row]
-    key = [_width(label, letters, style) + 3.8 * letters for label in named]
-    room = points * (0.99 - first.get_position().x0)
-    lines = next((n for n in range(1, len(key)) if _key_width(key, n) < room), len(key))
-    beside = len(row) == lines == 1 and 0 < titles[0] < _BESIDE * inside - sum(key) and not row[0].note
+    keys = [_key(axis, panel) for axis, panel in row]
+    looks = [{one.label: (one.thing, one.signal) for one in panel.series if one.label} for _, panel in row]
+    each = any(found != looks[0].get(label, found) for one in looks[1:] for label, found in one.items())
+    if not each:
+        together: dict[str, Any] = {}
+        for one in keys:
+            together = one | together
+        keys = [together]
+    (first, above), letters = row[0], 0.9 * style.letters
+    points, starts = 72 * first.figure.get_figwidth(), [axis.get_position().x0 for axis, _ in row]
+    inside, room = points * first.get_position().width, points * (0.99 - starts[0])
+    columns = [points * (end - start) - letters for start, end in pairwise((*starts, 0.99))] if each else [room]
+    columns = [inside] if above.noted else columns  # the heading of the notes is on the right of the key
+    titles = [text_width(panel.title, 1.25 * style.letters, style) for _, panel in row]  # bold
+    notes = [text_width(panel.note, letters, style) for _, panel in row]
+    sizes = [[text_width(label, letters, style) + 3.8 * letters for label in key] for key in keys]
+    lines = max(
+        next((n for n in range(1, len(size)) if key_width(size, n) < wide), len(size))
+        for size, wide in zip(sizes, columns, strict=True)
+    )
+    beside = len(row) == lines == 1 and 0 < titles[0] < _BESIDE * inside - sum(sizes[0]) and not above.note
     lines = 0 if beside else lines
-    if named:
-        place: Any = {"loc": "lower right" if beside else "lower left", "bbox_to_anchor": (float(beside), 1.0)}
-        legend = first.legend(
-            list(named.values()), list(named), ncols=-(-len(named) // max(lines, 1)), frameon=False, borderpad=0.0,
-            borderaxespad=0.25, handlelength=1.9, handletextpad=0.5, columnspacing=1.4,
-            labelcolor=style.hues["ink"], **place,
-        )  # fmt: skip
-        legend.set_in_layout(False)  # it may be wider than the axes; an empty text has its height
-        first.annotate(" ", (0, 1), (0, (max(lines, 1) - 1) * _LINE * letters + 5), "axes fraction", "offset points")
-    below = any(title and note and title + note > 0.95 * inside for title, note in zip(titles, notes, strict=True))
-    pad = 0.5 * style.letters + lines * _LINE * letters
-    for axis, panel in zip(axes, row, strict=True):
+    place: Any = {"loc": "lower right" if beside else "lower left", "bbox_to_anchor": (float(beside), 1.0)}
+    for (axis, _), key in zip(row, keys, strict=False):
+        if key:
+            legend = axis.legend(
+                list(key.values()), list(key), ncols=-(-len(key) // max(lines, 1)), frameon=False, borderpad=0.0,
+                borderaxespad=0.25, handlelength=1.9, handletextpad=0.5, columnspacing=1.4,
+                labelcolor=style.hues["ink"], **place,
+            )  # fmt: skip
+            legend.set_in_layout(False)  # it may be wider than the axes; an empty text has its height
+            axis.annotate(" ", (0, 1), (0, (max(lines, 1) - 1) * _LINE * letters + 5), "axes fraction", "offset points")
+    broad = inside + (points * starts[0] if alone else 0.0)
+    below = any(title and note and title + note > 0.95 * broad for title, note in zip(titles, notes, strict=True))
+    above_axes = above.noted or first.yaxis.get_offset_text().get_text()
+    pad = 0.5 * style.letters + max(lines, int(bool(above_axes))) * _LINE * letters
+    figure = first.figure
+    for axis, panel in row:
         color = style.hues["ink"] if panel.thing is None else style.color(panel.thing)
-        at: Any = {"ha": "left" if below else "right", "va": "baseline", "annotation_clip": False}
-        axis.annotate(
-            panel.note, (0.0 if below else 1.0, 1.0), (0, pad), "axes fraction", "offset points",
-            color=style.hues["muted"], fontsize=letters, **at,
+        edge = blended_transform_factory(figure.dpi_scale_trans if alone else axis.transAxes, axis.transAxes)
+        start = _EDGE if alone else 0.0
+        axis.text(
+            start if below else 1.0, 1.0, panel.note, ha="left" if below else "right", va="baseline",
+            transform=(edge if below else axis.transAxes) + ScaledTranslation(0.0, pad / 72, figure.dpi_scale_trans),
+            color=style.hues["muted"], fontsize=letters,
         )  # fmt: skip
-        above = _LINE * letters if below else 0.0
-        title = _folded(panel.title, 1.2 * style.letters, room / len(row), style)
-        axis.set_title(title, x=0.0, ha="left", pad=pad + above, color=color, fontweight="bold")
+        wide = points - 144 * _EDGE if alone else room / len(row)
+        title = in_lines(panel.title, 1.2 * style.letters, wide, style)
+        over = pad + _LINE * letters if below else pad
+        look: Any = {"color": color, "fontweight": "bold", "linespacing": style.spacing}
+        axis.set_title(title, x=start, ha="left", pad=over, **look)
+        axis.title.set_transform(edge + ScaledTranslation(0.0, over / 72, figure.dpi_scale_trans))
 
 
-def _folded(text: str, letters: float, room: float, style: Style) -> str:
-    """Return a text in lines that have room."""
-    lines = [""]
-    for word in text.split():
-        longer = f"{lines[-1]} {word}".strip()
-        if lines[-1] and _width(longer, letters, style) > room:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return "\n".join(lines)
-
-
-def _key_width(widths: Sequence[float], lines: int) -> float:
-    """Return the width of a key with a number of lines, whose entries fill the columns in turn."""
-    columns = -(-len(widths) // lines)
-    short, long = divmod(len(widths), max(columns, 1))  # the first columns have one more entry
-    sizes = [short + (index < long) for index in range(columns)]
-    ends = [sum(sizes[: index + 1]) for index in range(columns)]
-    return sum(max(widths[end - size : end]) for size, end in zip(sizes, ends, strict=True))
-
-
-def _width(text: str, letters: float, style: Style) -> float:
-    """Return the width of a line of text, in points."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import TextToPath
-
-    measure: Any = TextToPath()
-    font = FontProperties(family=style.settings["font.family"], size=letters)
-    return float(measure.get_text_width_height_descent(text, font, "$" in text)[0]) if text else 0.0
+def _key(axis: Any, panel: Panel) -> dict[str, Any]:
+    """Return the entries of the key of a panel, except those that are written at the ends of the curves."""
+    handles, labels = axis.get_legend_handles_labels()
+    drawn = dict(zip(labels[::-1], handles[::-1], strict=True))
+    listed = () if panel.ends else (*panel.series, *panel.bands)
+    return {one.label: drawn[one.label] for one in listed if one.label in drawn}
 
 
 def _separate(axis: Any, style: Style) -> None:
@@ -733,7 +696,7 @@ def _separate(axis: Any, style: Style) -> None:
     letters, pixels = 0.9 * style.letters, axis.figure.dpi / 72
     texts = axis.xaxis.get_major_formatter().format_ticks(ticks)
     places = [float(axis.transData.transform((tick, axis.get_ylim()[0]))[0]) / pixels for tick in ticks]
-    found = [(place, _width(text, letters, style)) for place, text in zip(places, texts, strict=True)]
+    found = [(place, text_width(text, letters, style)) for place, text in zip(places, texts, strict=True)]
     if any(right - left < (one + other) / 2 + 0.6 * letters for (left, one), (right, other) in pairwise(found)):
         axis.tick_params(axis="x", labelrotation=_SLANT)
         for label in axis.get_xticklabels():
@@ -776,7 +739,7 @@ def blank_sheet(width: float, height: float, ax: Any = None, figsize: Size | Non
     smaller axes a drawing of this size is scaled by the factor, also its letters.
     """
     given = _check_canvas(ax, figsize, 1)
-    figure: Any = given[0].figure if given else figure_class()(figsize=figsize or (width, height))
+    figure: Any = given[0].figure if given else figure_class()(figsize=figsize or (width, height), layout="none")
     axis: Any = given[0] if given else figure.add_axes((0.0, 0.0, 1.0, 1.0))
     place, size = axis.get_position(), figure.get_size_inches()
     room = float(place.width * size[0]), float(place.height * size[1])

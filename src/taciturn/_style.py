@@ -2,10 +2,11 @@
 
 A *thing* has one colour and one mark in every figure (``THINGS``): the policy, sending every sample, periodic control,
 the guarantee, a certificate, packets that are delivered, dropped or late, triggers and their thresholds, set-points,
-limits, disturbances, and the region that no schedule reaches. Signals without a meaning of their own, such as the
-entries of a state, are those of ``SIGNALS`` in turn. A ``Look`` is a colour, a dash and a marker, so that a figure can
-be read in grey print and by colour-blind readers; the hues are those of Okabe and Ito, with a lightness that contrasts
-with the background by at least 3 : 1.
+limits, disturbances, the lower bound of all schedules, and the region that no schedule reaches. Signals without a
+meaning of their own, such as the entries of a state, are those of ``SIGNALS`` in turn. Several signals of one thing,
+such as the outputs under periodic control, have its colour in a tone and a dash of their own. A ``Look`` is a colour, a
+dash and a marker, so that a figure can be read in grey print and by colour-blind readers; the hues are those of Okabe
+and Ito, with a lightness that contrasts with the background by at least 3 : 1.
 
 A ``Style`` gives the hues for a background, and the fonts:
 
@@ -46,11 +47,11 @@ Hue = Literal[
     "box",
     "hub",
 ]
-Marker = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|", "x", ""]
+Marker = Literal["o", "s", "^", "D", "v", "P", "X", "*", "|", "x", ">", ""]
 Dash: TypeAlias = tuple[float, ...]
 Thing = Literal[
-    "policy", "every sample", "periodic control", "guarantee", "certificate", "unreachable", "delivered", "dropped",
-    "late", "trigger", "threshold", "set-point", "limits", "disturbance",
+    "policy", "every sample", "periodic control", "guarantee", "certificate", "lower bound", "unreachable", "delivered",
+    "dropped", "late", "trigger", "threshold", "set-point", "limits", "disturbance",
 ]  # fmt: skip
 StyleName = Literal["light", "dark", "paper", "paper-wide"]
 _EMBEDDED: Mapping[str, Any] = {
@@ -77,6 +78,7 @@ THINGS: Mapping[Thing, Look] = {
     "periodic control": Look("amber", DASHED, "s"),
     "guarantee": Look("green", DOTTED, "^", 1.3),
     "certificate": Look("purple", (6.0, 1.5, 1.2, 1.5), "v"),
+    "lower bound": Look("muted", SOLID, ">"),
     "unreachable": Look("shade"),
     "delivered": Look("ink", SOLID, "|"),
     "dropped": Look("red", SOLID, "x"),
@@ -98,6 +100,9 @@ SIGNALS = (
     Look("muted", SOLID, "*"),
 )
 
+TONES = (0.0, 0.5, 0.25, 0.75)
+"""How much ink is in the colour of each of several signals of one thing."""
+
 POLICIES: tuple[Thing | int, ...] = ("policy", 5, 6, 4, 3)
 """Looks of several policies in turn; the first ones are not those of guarantees, certificates and periodic control."""
 
@@ -118,13 +123,24 @@ class Style:
     tall: float = 1.0  # height of panels, relative to that of a figure for a screen
     serif: bool = False
 
+    @property
+    def spacing(self) -> float:
+        """Distance of lines of text, relative to the height of the font, which is larger for a serif font."""
+        return 0.95 if self.serif else 1.2
+
     def look(self, thing: Thing | int) -> Look:
         """Return colour, dash pattern and marker of a thing such as "input", or of the signal with a given number."""
         return THINGS[thing] if isinstance(thing, str) else SIGNALS[thing % len(SIGNALS)]
 
-    def color(self, thing: Thing | int) -> str:
-        """Return the colour of a thing such as "input", or of the signal with a given number."""
-        return self.hues[self.look(thing).hue]
+    def color(self, thing: Thing | int, tone: int = 0) -> str:
+        """Return the colour of a thing such as "input", or of the signal with a given number, in one of its tones."""
+        return self.toned(self.look(thing).hue, TONES[tone % len(TONES)])
+
+    def toned(self, hue: Hue, ink: float) -> str:
+        """Return a hue that is mixed with a share of ink."""
+        pairs = [[int(color[k : k + 2], 16) for k in (1, 3, 5)] for color in (self.hues[hue], self.hues["ink"])]
+        mixed = (round((1 - ink) * own + ink * other) for own, other in zip(*pairs, strict=True))
+        return "#" + "".join(f"{one:02x}" for one in mixed) if ink else self.hues[hue]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -147,7 +163,7 @@ class Style:
             "lines.linewidth": self.line, "lines.markersize": 3.2 * self.line,
             "lines.solid_capstyle": "butt", "lines.dash_capstyle": "butt",
             "axes.xmargin": 0.015, "axes.ymargin": 0.06, "axes.formatter.useoffset": False,
-            "axes.formatter.limits": (-4, 5), "axes.formatter.use_mathtext": True,
+            "hatch.linewidth": 0.6 * thin, "axes.formatter.limits": (-4, 5), "axes.formatter.use_mathtext": True,
             "figure.constrained_layout.h_pad": 0.06, "figure.constrained_layout.w_pad": 0.06,
         }  # fmt: skip
 
@@ -231,14 +247,20 @@ def find_style(name: Any) -> Style:
 
 
 _PAINTED = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
+_FILLED = re.compile(r'fill="(#[0-9a-f]{6})"')  # what is below a hatch
 
 
 def adaptive(svg: str) -> str:
     """Change an SVG picture in the style ``light``, so that its colours follow the reader's light or dark colour
     scheme.
     """
+    svg = _FILLED.sub(r'style="fill: \1"', svg)
     light, dark = STYLES["light"], STYLES["dark"]
-    changed = {light.background: dark.background, **{color: dark.hues[hue] for hue, color in light.hues.items()}}
+    known = {light.toned(hue, ink): dark.toned(hue, ink) for ink in TONES[::-1] for hue in light.hues}
+    known[light.background] = dark.background
+    changed = {
+        color: known[color] for color in dict.fromkeys(one for _, one in _PAINTED.findall(svg)) if color in known
+    }
 
     def painted(found: re.Match[str]) -> str:
         return f"{found[1]}: var(--c{found[2][1:]})" if found[2] in changed else found[0]

@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from itertools import zip_longest
 from pathlib import Path
@@ -179,6 +179,14 @@ def number_of(number: object, noun: str) -> str:
     """Return a number, or its text, with its noun in the singular or plural: 1 step, 0 steps, 2.5 steps."""
     text = f"{number}"
     return f"{text} {noun}{'' if text == '1' else 's'}"
+
+
+def link_names(links: Iterable[str]) -> dict[str, str]:
+    """Return the name of each link in a figure: that of its packets if it is the only link, else "link level-1"."""
+    names = [*links]
+    if len(names) == 1:
+        return {names[0]: "packets"}
+    return {name: name if name.startswith("link") else f"link {name}" for name in names}
 
 
 def per_unit(unit: str) -> str:

@@ -22,6 +22,7 @@ from taciturn._arrays import square as square
 from taciturn._arrays import symmetrised as symmetrised
 from taciturn._display import Displayed as Displayed
 from taciturn._figure import HEIGHT as HEIGHT
+from taciturn._figure import ROW as ROW
 from taciturn._figure import Above as Above
 from taciturn._figure import Band as Band
 from taciturn._figure import Curve as Curve
@@ -75,6 +76,7 @@ from taciturn._style import POLICIES as POLICIES
 from taciturn._style import StyleName as StyleName
 from taciturn._style import Thing as Thing
 from taciturn._style import find_style as find_style
+from taciturn._text import link_names as link_names
 from taciturn._text import number_of as number_of
 from taciturn._text import pairs_text as pairs_text
 from taciturn._text import per_unit as per_unit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -20,6 +20,7 @@ from taciturn.extend import (
     StyleName,
     answered_within,
     draw,
+    link_names,
     radius,
     table_text,
 )
@@ -196,6 +197,7 @@ class Certificates(Tabular):
             ProblemError: no number can be compared with that of every sample, and no error of a link is bounded.
         """
         panels = [*_ratios(self), *_link_errors(self)]
+        panels[:1] = [replace(one, title=_verdict(self)) for one in panels[:1]]
         if not panels:
             raise ProblemError(
                 "the certificates contain no number that can be compared with sending every sample; expected at "
@@ -233,9 +235,10 @@ def _ratios(found: Certificates) -> list[Panel]:
     return [
         Panel(
             [Series(ratios, places, "", "bars", thing="guarantee")],
-            "proved, as a multiple of every sample (right: proved, every sample)",
+            "proved, as a multiple of every sample",
             names=[name for name, _, _ in rows],
             notes=[note for _, _, note in rows],
+            noted="proved, every sample",
             levels=[Level(1.0, "every sample", axis="x")],
             xlog=max(ratios) > WIDE * min(ratios),
         )
@@ -248,7 +251,7 @@ def _link_errors(found: Certificates) -> list[Panel]:
     if not rows:
         return []
     series = [Series([added for _, added in rows], range(len(rows)), "", "stalks", thing="guarantee")]
-    names, notes = [link for link, _ in rows], [_shown(added) for _, added in rows]
+    names, notes = [*link_names(found.errors).values()][::-1], [_shown(added) for _, added in rows]
     label = "gain × largest error of a link: √cost, at most"
     return [Panel(series, label, names=names, notes=notes, xlim=(0.0, None))]
 

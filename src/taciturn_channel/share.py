@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 SchedulerName: TypeAlias = Literal["price", "largest", "round-robin", "tdma", "once-discard", "random-access"]
 SAME = 1e-9  # relative
-BOUND = 7  # look of the cost below which no scheduler is
+BESIDE = 0.14  # distance of two marks of one row from its middle, in rows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,7 @@ def _costs(found: Sharing) -> list[tuple[str, str, str]]:
     rows += [(name, Estimate(cost, 0.0, "exact"), f"{cost:.6g}", 0) for name, cost in timed.items()]
     rows.append(("every sample", Estimate(base, 0.0, "exact"), f"{base:.6g}", 0))
     if bound is not None:
-        rows.append(("no scheduler below", Estimate(bound.cost, 0.0, "bound"), rounded(bound.cost, 6, -1), -1))
+        rows.append(("lower bound, any scheduler", Estimate(bound.cost, 0.0, "bound"), rounded(bound.cost, 6, -1), -1))
     return [
         (name, text, "" if name == "every sample" or not base else percent_above(cost, base, up))
         for name, cost, text, up in rows
@@ -103,7 +103,7 @@ def _periodic(found: Sharing) -> dict[str, float]:
     """Return the cost of the best periodic allocation, or its bound and the best cost found, by name."""
     if found.clock_attained:
         return {"best periodic": found.cost_periodic}
-    return {"no periodic below": found.cost_periodic, "periodic, best found": found.cost_periodic_attained}
+    return {"lower bound, periodic": found.cost_periodic, "periodic, best found": found.cost_periodic_attained}
 
 
 def _verdict(found: Sharing) -> str:
@@ -301,23 +301,21 @@ class Sharing(Tabular):
             ("every sample", self.cost_all_time, 0.0, "every sample"),
         ]
         if self.lower_bound is not None:
-            found.append(("no scheduler below", self.lower_bound.cost, 0.0, BOUND))
+            found.append(("lower bound, any scheduler", self.lower_bound.cost, 0.0, "lower bound"))
         rows = [row for row in found if isfinite(row[1])][::-1]  # the first is the uppermost
         base, values = self.cost_all_time, [value for _, value, _, _ in rows]
         above = Above.of(base, [self.cost.value], values) if base > 0 else None
         more = {name: extra for name, _, extra in _costs(self)}
-        title = f"{self.loops} loops, scheduler {self.scheduler}, at most {self.capacity} sends per step"
+        shown = {"this scheduler": f"this scheduler ({self.scheduler})"}
         return Panel(
             [
                 Series([value], [float(row)], "", "bars", [error], thing)
                 for row, (_, value, error, thing) in enumerate(rows)
             ],
-            f"sum of costs per {self.unit}"
-            if above is None
-            else f"sum of costs above every sample, {base:.4g} per {self.unit}",
-            title=title,
-            names=[name for name, _, _, _ in rows],
-            notes=[f"{value:.5g}  {more.get(name, '')}".rstrip() for name, value, _, _ in rows],
+            f"sum of costs per {self.unit}" if above is None else above.label("sum of costs", f"per {self.unit}"),
+            title=_verdict(self),
+            names=[shown.get(name, name) for name, _, _, _ in rows],
+            notes=[f"{value:.5g}  {more.get(name, '')}".rstrip().replace("-", "−") for name, value, _, _ in rows],
             xabove=above,
             levels=[Level(base, axis="x")],
         )
@@ -327,11 +325,11 @@ class Sharing(Tabular):
         rows = self.shares[::-1]
         places = [float(row) for row in range(len(rows))]
         rates, errors = [one.rate.value for one in rows], [one.rate.standard_error for one in rows]
-        clocks = [one.rate_periodic for one in rows]
+        clocks, timed = [one.rate_periodic for one in rows], next(iter(_periodic(self)))
         return Panel(
             [
-                Series(rates, places, "this scheduler", "bars", errors, "policy"),
-                Series(clocks, places, next(iter(_periodic(self))), "points", thing="periodic control"),
+                Series(rates, [row + BESIDE for row in places], "this scheduler", "bars", errors, "policy"),
+                Series(clocks, [row - BESIDE for row in places], timed, "points", thing="periodic control"),
             ],
             "sends per check of one loop",
             names=[f"{one.copies} × {one.name}" for one in rows],

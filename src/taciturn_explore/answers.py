@@ -47,6 +47,7 @@ class Answers:
     def __init__(self, trusted: Trusted | None = None) -> None:
         """Start with empty caches."""
         self.trusted = trusted
+        self.opened = ""  # the text of a setting whose refined answer is that of ``taciturn evaluate``
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
 
     def compute(self, name: str, arguments: tuple[Any, ...]) -> Any:
@@ -206,7 +207,8 @@ class Answers:
 
     def _refined(self, setting: Setting) -> tuple[Effort, Evaluation]:
         """Return the refined evaluation of a setting, also on the plant as written if a controller is given."""
-        effort = plane.fine(self._evaluated(setting, plane.COARSE))
+        same = setting.text == self.opened
+        effort = Effort() if same else plane.fine(self._evaluated(setting, plane.COARSE))
         return effort, self._evaluated(setting, effort, self._problem(setting).controller is not None)
 
     def _along(self, setting: Setting, problem: Problem) -> Setting:

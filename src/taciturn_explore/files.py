@@ -21,7 +21,7 @@ WIDTH = 100  # columns of a line with an array
 
 @dataclass(frozen=True, repr=False)
 class Effort(Displayed):
-    """The accuracy of an evaluation: a given number of steps, or a given standard error of the cost."""
+    """The accuracy of an evaluation: a number of steps or a standard error of the cost; else the usual one."""
 
     steps: int | None = None
     standard_error: float | None = None
@@ -29,12 +29,16 @@ class Effort(Displayed):
     @property
     def option(self) -> str:
         """Command-line option that requests this accuracy."""
-        return f"--steps {self.steps}" if self.steps else f"--standard-error {self.standard_error!r}"
+        if self.steps:
+            return f"--steps {self.steps}"
+        return f"--standard-error {self.standard_error!r}" if self.standard_error else ""
 
     @property
     def argument(self) -> str:
         """The argument in Python."""
-        return f"steps={self.steps:_}" if self.steps else f"standard_error={self.standard_error!r}"
+        if self.steps:
+            return f"steps={self.steps:_}"
+        return f"standard_error={self.standard_error!r}" if self.standard_error else ""
 
 
 def problem_file(setting: Setting, problem: Problem) -> str:
@@ -58,7 +62,7 @@ def python_lines(setting: Setting, effort: Effort) -> str:
     return (
         "import taciturn\n\n"
         f"problem = {opened}\n"
-        f"found = taciturn.evaluate(problem, {effort.argument}, seed={setting.seed})\n"
+        f"found = taciturn.evaluate({', '.join(filter(None, ('problem', effort.argument, f'seed={setting.seed}')))})\n"
         "print(found)\n"
     )
 
@@ -73,7 +77,7 @@ def command(setting: Setting, effort: Effort) -> str:
             f" --set {name.removeprefix('policy.')}={value!r}".replace("'", "") for name, value in setting.changes
         )
     )
-    return f"taciturn evaluate {file}{changes} {effort.option} --seed {setting.seed}"
+    return " ".join(filter(None, (f"taciturn evaluate {file}{changes}", effort.option, f"--seed {setting.seed}")))
 
 
 def _needs_file(setting: Setting) -> bool:

@@ -3,7 +3,8 @@
 It is the record of a run (``recording``), or the answers of precomputed settings.
 
 The settings differ in the trade-off parameter; they are those of the curve (``curves``) and the given one. The page has
-the control of this parameter, and shows the nearest setting of the file.
+the control of this parameter, and shows the nearest setting of the file. It opens with the given setting, whose numbers
+are those of ``taciturn evaluate``.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ def precomputed(answers: Answers, setting: Setting, progress: Progress | None) -
             "expected a kind with such a parameter"
         )
     given, fair = begun["tuning"]["value"], answers.fair(text)
+    answers.opened = answers.settle(text, {curve["key"]: given}, {})["text"]
     values = sorted({given, *(one["parameter"] for one in curve["points"])})
     settings = list[dict[str, Any]]()
     for i, value in enumerate(values):

@@ -22,22 +22,19 @@ import numpy as np
 
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import (
+    ROW,
     Above,
-    Level,
     Panel,
     Progress,
     Series,
-    Side,
     Size,
     Stages,
     StyleName,
     answered_within,
     draw,
-    find_style,
     in_notebook,
     instance,
     number,
-    number_of,
     per_unit,
     percent,
 )
@@ -62,8 +59,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGE = 0.05  # largest correction for the rate, as a share of the cost
-BESIDE = 5.0  # width of a figure in inches, above which differences are beside the costs
 SPAN = 2.0  # standard errors of a bar
+LEAST = 1.1  # smallest height of the rows of a figure, in inches
 CORRECTED = "each cost is corrected for the difference of the measured rate"
 ALIKE = 2.0  # standard errors within which two costs are not told apart
 RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending every sample
@@ -555,21 +552,20 @@ class Comparison(Tabular):
         )
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
-        """Plot the costs in ascending order, and how far each exceeds the lowest; side by side if the figure is wide.
+        """Plot the costs in ascending order, and write how far each exceeds the lowest.
 
-        The error bars are two standard errors. The error bars of the differences are smaller, because all policies are
-        simulated with the same random numbers.
+        The error bars are two standard errors. The differences have smaller errors, because all policies are simulated
+        with the same random numbers.
 
         Args:
-            ax: existing axes to draw in instead of a new figure: two.
+            ax: existing axes to draw in instead of a new figure.
             figsize: width and height of a new figure, in inches.
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
-        panels, wide = self._panels(), find_style(style).width > BESIDE
-        return draw([Side([one]) for one in panels] if wide else panels, ax, figsize, style)
+        return draw([self._panel()], ax, figsize, style)
 
-    def _panels(self) -> tuple[Panel, Panel]:
-        """Return the panels of the costs and of their differences from the first."""
+    def _panel(self) -> Panel:
+        """Return the panel of the costs, with their differences from the first as notes."""
         listed, per = self.ranking[::-1], per_unit(self.unit)  # the first is the uppermost
         rows = [float(row) for row in range(len(listed))]
         costs, errors = [one.cost.value for one in listed], [SPAN * one.cost.standard_error for one in listed]
@@ -584,20 +580,15 @@ class Comparison(Tabular):
         series += [Series([cost] * 2, ends, "periodic control", thing="periodic control") for cost in timed]
         base = every[0] if every and every[0] > 0 else None
         axis = None if base is None else Above.of(base, costs, [*x, *timed])
-        label = f"cost {per}" if axis is None else f"cost above every sample, {axis.base:.4g} {per}"
-        apart = Series(
-            [one.above.value for one in listed], rows, "", "bars",
-            [SPAN * one.above.standard_error for one in listed], "policy",
-        )  # fmt: skip
-        names, notes = [one.name for one in listed], [_difference(one) for one in listed]
-        title = (
-            f"{number_of(f'{self.rate:.4g}', 'send')} per {self.rate_unit}"
-            if self.of == "rate"
-            else f"traffic {self.rate:.4g}"
-        )
-        return (
-            Panel(series, label, title=title, names=names, xabove=axis),
-            Panel([apart], f"cost above the first, {per}", names=names, notes=notes, levels=[Level(0.0, axis="x")]),
+        return Panel(
+            series,
+            f"cost {per}" if axis is None else axis.label("cost", per),
+            title=self.verdict[0],
+            names=[one.name for one in listed],
+            notes=[_difference(one) or "least" for one in listed],
+            noted="above the least",
+            xabove=axis,
+            row=max(ROW, LEAST / len(listed)),
         )
 
 

@@ -342,7 +342,7 @@ class Tradeoff(Tabular):
         measured = "certificate" if any(one.certificate is not None for one in found) else None
         timed = any(point.same_traffic is not None for point in self.points)
         clocked = any(point.periodic is not None for point in self.points)
-        below, least = "no schedule below" if self.bounded else None, "no_schedule_below"
+        below, least = "lower bound, any schedule" if self.bounded else None, "no_schedule_below"
         seen = [one.violations for one in found if one.violations is not None]
 
         def value(name: str) -> Field[Point]:
@@ -458,11 +458,11 @@ class Tradeoff(Tabular):
         """Plot the cost against the rate of a single link, or against the traffic of several links.
 
         The figure shows the policy, its guarantee (the guarantee at the measured rate, if there is one), the
-        certificate that its nodes measure, periodic control, and the cost of sending every sample. For several links, a
-        strip below shows the share of each link in the traffic.
+        certificate that its nodes measure, periodic control, and the cost of sending every sample. If several links
+        have different shares of the traffic, a strip below shows these shares.
 
         Args:
-            ax: existing axes to draw in instead of a new figure: one, or for several links two, one above the other.
+            ax: existing axes to draw in instead of a new figure: one, or with the shares two, one above the other.
             figsize: width and height of a new figure, in inches.
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """

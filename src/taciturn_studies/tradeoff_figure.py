@@ -1,9 +1,10 @@
-"""Figure of a trade-off: cost against rate; for several links, cost against traffic above the links' shares.
+"""Figure of a trade-off: cost against rate; for several links, cost against traffic above the links' shares, if these
+differ.
 
 The axis of costs has percentages above the cost of sending every sample. It holds the policy, sending every sample,
 and at each rate periodic control, the guarantee and the certificate; if these are far from the policy, the axis bends
 (``Above``). Below the lower bounds of all points, max_i (c_i + λ_i (r_i − r)) over rates r, lies the region that no
-schedule reaches; it is drawn if all points have one controller.
+schedule reaches; it is drawn if all points have one controller. A ring surrounds the point of the title.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn.extend import POLICIES, Above, Band, Curve, Level, Panel, Series, Thing, per_unit, percent
-from taciturn.study.evaluation import Evaluation
+from taciturn.extend import POLICIES, Above, Band, Curve, Level, Panel, Series, Thing, link_names, per_unit, percent
+from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.periodic import UNSTABLE
 from taciturn.study.sentences import compared_text, more_text
 
@@ -22,10 +23,11 @@ if TYPE_CHECKING:
     from taciturn_studies.tradeoff import Point, Tradeoff
 
 LINE = 200  # points of the boundary of the region that no schedule reaches
-BELOW, ABOVE = 0.09, 0.04  # room below and above the costs, as a part of the axis
+BELOW, UNDER, ABOVE = 0.15, 0.08, 0.04  # room below costs with and without a region there, and above them
 WIDE = 30.0  # ratio of the largest and the smallest rate above which the axis of rates is logarithmic
 LITTLE = 0.05  # extra cost, relative to that of sending every sample, of the point in the title
 STRIP = 1.0  # height of the shares of the links, in inches
+EQUAL = 10.0  # difference of the shares of the links, in percent, up to which they are not shown
 
 
 def panels_of(found: Tradeoff) -> list[Panel]:
@@ -33,13 +35,15 @@ def panels_of(found: Tradeoff) -> list[Panel]:
     answers = [point.evaluation for point in found.points]
     links = list(dict.fromkeys(link for one in answers for link in one.rates))
     rates = [_traffic(one) for one in answers]
-    pace = _pace(answers[0])
+    pace = _pace(answers[0]) if found.one_base else None
     limits = _limits([*rates, *([] if pace is None else [pace])])
     wide = min(rates) > 0 and max(rates) > WIDE * min(rates)
     shared: dict[str, Any] = {"xlog": wide, "xlim": None if wide else limits}
     label = _label(found, links)
-    costs = _costs(found, label if len(links) == 1 else "", shared)
-    return [costs] if len(links) == 1 else [costs, _shares(answers, links, label, shared)]
+    parts = _parts(answers, links)
+    if all(max(one) - min(one) <= EQUAL for one in parts):
+        return [_costs(found, label, shared)]
+    return [_costs(found, "", shared), _shares(answers, parts, links, label, shared)]
 
 
 def _traffic(one: Evaluation) -> float:
@@ -77,6 +81,9 @@ def _costs(found: Tradeoff, label: str, shared: dict[str, Any]) -> Panel:
     every, pace = [] if base is None else [base], _pace(answers[0])
     series = [*_policies(found), *_periodic(found), *_bounds(found)]
     series += [Series([pace], every, "", "points", thing="every sample")] if pace is not None and every else []
+    told = _told(found)
+    here = [] if told is None else [(_traffic(told.evaluation), told.evaluation.cost.value)]
+    series += [Series([x], [y], "", "ring", thing="delivered") for x, y in here]
     near = [one.cost.value for one in answers]
     timed = [point.same_traffic or point.evaluation.periodic for point in found.points]
     clocks = [one.value for one in timed if one is not None]
@@ -88,29 +95,40 @@ def _costs(found: Tradeoff, label: str, shared: dict[str, Any]) -> Panel:
     return Panel(
         series,
         label,
-        per if above is None else f"cost above every sample, {above.base:.4g} {per_unit(found.unit)}",
-        _headline(found),
+        per if above is None else above.label("cost", per_unit(found.unit)),
+        _headline(found, told),
         levels=[Level(cost, "every sample") for cost in every],
         bands=bands,
         yabove=above,
-        ylim=_room(low, high, above, BELOW if any(band.text for band in bands) else ABOVE),
+        ylim=_room(low, high, above, BELOW if any(band.text for band in bands) else UNDER),
         **shared,
     )
 
 
-def _headline(found: Tradeoff) -> str:
-    """Return the least traffic of a point that costs little more than sending every sample, as a sentence."""
-    answers = [one.evaluation for one in found.points]
-    base, pace = answers[0].cost_all_time, _pace(answers[0])
-    if not found.one_base or base is None or base <= 0 or pace is None:
-        return ""
-    near = [point for point in found.points if -LITTLE <= point.evaluation.cost.value / base - 1 <= LITTLE]
-    if not near:
-        return ""
-    point = min(near, key=lambda point: _traffic(point.evaluation))
-    share = percent(_traffic(point.evaluation) / pace, 1)
-    text = f"{share} of the packets, {compared_text(point.evaluation.cost, base, '')}"
-    clock = point.same_traffic or point.evaluation.periodic
+def _sure(found: Tradeoff) -> list[Point]:
+    """Return the points whose costs are averages without a doubt."""
+    return [point for point in found.points if point.evaluation.settled and not point.evaluation.doubts]
+
+
+def _told(found: Tradeoff) -> Point | None:
+    """Return the point with the least traffic that costs little more than sending every sample."""
+    base = found.points[0].evaluation.cost_all_time
+    if not found.one_base or base is None or base <= 0:
+        return None
+    near = [point for point in _sure(found) if -LITTLE <= point.evaluation.cost.value / base - 1 <= LITTLE]
+    return min(near, key=lambda point: _traffic(point.evaluation), default=None)
+
+
+def _headline(found: Tradeoff, told: Point | None) -> str:
+    """Return packets and cost of a point as a sentence, or else of the points with the most and the fewest packets."""
+    if told is None:
+        listed = sorted((point.evaluation for point in _sure(found)), key=_traffic)
+        ends = [f"{packets_text(one.rates, one)}, {cost_text(one, '')}" for one in (*listed[1:][-1:], *listed[:1])]
+        return f"from {' to '.join(ends)}" if len(ends) > 1 else "".join(ends)
+    one, base = told.evaluation, told.evaluation.cost_all_time
+    assert base is not None, "the point costs little more than every sample"
+    text = f"{packets_text(one.rates, one)}, {compared_text(one.cost, base, '')}"
+    clock = told.same_traffic or one.periodic
     return text if clock is None else f"{text}; with periodic control {more_text(clock, base)}"
 
 
@@ -217,8 +235,8 @@ def _unreachable(found: Tradeoff) -> list[Band]:
     rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
     lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
     sure = percent(min(one.confidence for one in bounds))
-    text = f"{sure} sure, for this controller"
-    return [Band(None, lowest, [pace * rate for rate in rates], "no schedule is here", text=text)]
+    text = f"no schedule of this controller ({sure} confidence)"
+    return [Band(None, lowest, [pace * rate for rate in rates], text=text)]
 
 
 def _unstable(found: Tradeoff) -> list[Band]:
@@ -227,16 +245,30 @@ def _unstable(found: Tradeoff) -> list[Band]:
     return [Band(None, None, [0.0, max(rates)], "periodic control is unstable", "periodic control")] if rates else []
 
 
-def _shares(answers: Sequence[Evaluation], links: Sequence[str], label: str, shared: dict[str, Any]) -> Panel:
-    """Return the share of each link in the traffic, one above the other, up to that of sending every sample."""
-    found, pace = sorted(answers, key=_traffic), _pace(answers[0])
-    paid = [{link: rate.value * one.prices.get(link, 1.0) for link, rate in one.rates.items()} for one in found]
-    paid += [] if pace is None else [{link: answers[0].prices.get(link, 1.0) for link in answers[0].rates}]
-    x = [*map(_traffic, found), *([] if pace is None else [pace])]
+def _parts(answers: Sequence[Evaluation], links: Sequence[str]) -> list[list[float]]:
+    """Return the share of each link in the traffic in percent, by traffic, at last those of sending every sample."""
+    paid = [
+        {link: rate.value * one.prices.get(link, 1.0) for link, rate in one.rates.items()}
+        for one in sorted(answers, key=_traffic)
+    ]
+    first = answers[0]
+    paid += [] if _pace(first) is None else [{link: first.prices.get(link, 1.0) for link in first.rates}]
+    return [[100 * one.get(link, 0.0) / (sum(one.values()) or 1.0) for link in links] for one in paid]
+
+
+def _shares(
+    answers: Sequence[Evaluation],
+    parts: Sequence[Sequence[float]],
+    links: Sequence[str],
+    label: str,
+    shared: dict[str, Any],
+) -> Panel:
+    """Return the panel of the links' shares in the traffic, one above the other, up to that of sending every sample."""
+    pace, names = _pace(answers[0]), link_names(links)
+    x = [*sorted(map(_traffic, answers)), *([] if pace is None else [pace])]
     low, bands = [0.0] * len(x), list[Band]()
-    for index, link in enumerate(links):
-        parts = [100 * one.get(link, 0.0) / (sum(one.values()) or 1.0) for one in paid]
-        high = [below + part for below, part in zip(low, parts, strict=True)]
-        bands.append(Band(low, high, x, link, 7 if index % 2 else "policy"))
+    for index, (link, own) in enumerate(zip(links, zip(*parts, strict=True), strict=True)):
+        high = [below + part for below, part in zip(low, own, strict=True)]
+        bands.append(Band(low, high, x, names[link], 7 if index % 2 else "policy"))
         low = high
     return Panel((), label, "share (%)", ylim=(0.0, 100.0), bands=bands, ends=True, height=STRIP, **shared)

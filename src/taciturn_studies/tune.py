@@ -45,10 +45,10 @@ from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluate import evaluate, with_violations, with_written
-from taciturn.study.evaluation import Evaluation
+from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.measure import Request
 from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
-from taciturn.study.sentences import percent_above, shares_text
+from taciturn.study.sentences import THAN, percent_above, shares_text
 from taciturn_studies.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
 from taciturn_studies.search import Attempt, Search
 from taciturn_studies.shares import Division
@@ -537,13 +537,19 @@ class Tuned(Tabular):
             _searched(values, [one.limited for one in self.tried], "tried"),
             _answer(value, self.goal.of(found), "answer"),
         ]
-        name, title = self.goal.axis(found), f"{self.parameter.name} = {self.parameter}"
-        every = (
-            [] if self.goal.limits_cost or found.cost_all_time is None else [Level(found.cost_all_time, "every sample")]
-        )
+        cost = cost_text(found, THAN)
+        title = f"{self.parameter.name} = {value:.4g}: {packets_text(found.rates, found)}, {cost}"
+        every = [] if found.cost_all_time is None else [Level(found.cost_all_time, "every sample")]
+        first = self.goal.limits_cost  # the panel that has the costs
+        budget = Level(self.goal.budget, f"budget {self.goal.budget:.4g}", "threshold")
         panels = (
-            Panel(limited, "", name, title, levels=[Level(self.goal.budget, "budget", "threshold")]),
-            Panel([_searched(values, other), _answer(value, there)], self.parameter.name, label, levels=every),
+            Panel(limited, "", self.goal.axis(found), title, levels=[*(every if first else ()), budget]),
+            Panel(
+                [_searched(values, other), _answer(value, there)],
+                self.parameter.name,
+                label,
+                levels=() if first else every,
+            ),
         )
         return draw([replace(one, xlog=wide, height=HALF) for one in panels], ax, figsize, style)
 

@@ -425,6 +425,7 @@ def panels_of(found: xarray.Dataset) -> list[Panel]:
                 series if name == "cost" else [replace(one, label="") for one in series],
                 "",
                 label,
+                "" if panels else next(_verdict(found)).partition("; largest")[0],
                 xlog=wide,
                 height=HEIGHT * (1.0 if name == "cost" else 0.5),
             )

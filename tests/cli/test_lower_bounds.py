@@ -43,8 +43,8 @@ def test_evaluate_prints_a_lower_bound_and_a_verdict(run: Run, write: Write) -> 
     lines = {line[:14].strip(): line[15:] for line in answer.unwrapped.splitlines()}
     assert lines["no schedule"].startswith("of this controller at this rate costs less than ")
     assert lines["no schedule"].endswith(" more (99.9 % sure)")
-    (least,) = [line.split() for line in answer.out.splitlines() if line.startswith("no schedule below")][:1]
-    assert float(least[3]) == pytest.approx(document["cost_lower_bound"], rel=1e-5)
+    (least,) = [line.split() for line in answer.out.splitlines() if line.startswith("lower bound, any schedule")][:1]
+    assert float(least[4]) == pytest.approx(document["cost_lower_bound"], rel=1e-5)
     base, verdict = document["cost_all_time"], " ".join(answer.out.partition("\n\n")[0].split())
     assert verdict == document["verdict"]
     assert float(verdict.split()[0]) == pytest.approx(100 * document["rates"]["actuator"]["value"], rel=6e-3)
@@ -68,7 +68,7 @@ def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist() -> None:
     text = str(found)
     assert "+0.14 %" in text  # 0.1486 %, rounded down
     assert "a figure shows" not in text
-    sure = "99.9 % sure, for this controller"
+    sure = "no schedule of this controller (99.9 % confidence)"
     assert sure in [text.get_text() for text in found.plot().axes[0].texts]
     other = replace(pair[1], cost_all_time=0.5)
     mixed = replace(found, points=(found.points[0], Point({"theta": 1}, other)))

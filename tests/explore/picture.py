@@ -42,7 +42,7 @@ def main() -> None:
         else:
             tab.locator("svg.run").hover()
         picture = Image.open(io.BytesIO(tab.screenshot(full_page=True)))
-        picture.save(asked.out, quality=82, method=6)
+        picture.save(asked.out, quality=48, method=6)
 
 
 if __name__ == "__main__":

@@ -106,6 +106,8 @@ def test_python_and_command_name_the_changes_and_the_effort() -> None:
     assert command(setting, Effort(steps=400_000)) == (
         "taciturn evaluate two-mass --set theta=0.08 --steps 400000 --seed 4"
     )
+    assert command(setting, Effort()) == "taciturn evaluate two-mass --set theta=0.08 --seed 4"
+    assert "evaluate(problem, seed=4)" in python_lines(setting, Effort())
     scope: dict[str, object] = {"print": lambda _: None}
     exec(python_lines(setting, Effort(steps=2048)), scope)
     expected = taciturn.evaluate(taciturn.load("two-mass").changed({"theta": 0.08}), steps=2048, seed=4)

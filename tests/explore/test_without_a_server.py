@@ -26,6 +26,17 @@ PLACE = """() => {
           along(ticks('end', (one) => +one.getAttribute('y') - 4), place[1])];
 }"""
 
+# whether two names in the plane overlap
+OVERLAP = """() => {
+  const boxes = [...document.querySelectorAll('.plane .label')].map((one) => one.getBoundingClientRect());
+  return boxes.length < 3 || boxes.some((a, i) => boxes.slice(i + 1).some((b) =>
+    a.left < b.right && b.left < a.right && a.top + 2 < b.bottom && b.top + 2 < a.bottom));
+}"""
+
+# a page that shows the plane of the saved one in a frame; its title is the height that the frame is to have
+AROUND = """<!doctype html><title>0</title><iframe src="page.html?plane" width="700"></iframe>
+<script>addEventListener("message", ({ data }) => { document.title = data.height; });</script>"""
+
 
 def test_a_saved_page_needs_nothing_but_its_file(tmp_path: Path) -> None:
     """Opened from its folder, its point moves to settings that the library has computed."""
@@ -46,6 +57,8 @@ def test_a_saved_page_needs_nothing_but_its_file(tmp_path: Path) -> None:
         share, above = tab.evaluate(PLACE)
         told = re.match(r"([\d.]+) % of the packets, ([\d.]+) % more cost", tab.locator(".verdict").inner_text())
         assert told is not None
+        opened = taciturn.evaluate(taciturn.load("two-mass"), after_step=False)
+        assert tab.locator(".numbers tr.policy td").first.inner_text() == str(opened.cost)
         assert (share, above) == (pytest.approx(float(told[1]), abs=0.1), pytest.approx(float(told[2]), abs=0.02))
         tab.get_by_role("button", name="Take away").click()
         with tab.expect_download() as download:
@@ -62,8 +75,15 @@ def test_a_saved_page_needs_nothing_but_its_file(tmp_path: Path) -> None:
             handle.press("ArrowLeft")
         tab.wait_for_selector(".explore[data-setting*=theta]")
         tab.wait_for_timeout(100)
+        assert not tab.evaluate(OVERLAP)
         setting = tab.get_attribute(".explore", "data-setting")
         cost = tab.locator(".numbers tr.policy td").first.inner_text()
+        (around := tmp_path / "around.html").write_text(AROUND, encoding="utf-8")
+        framed = browser.new_page()
+        framed.goto(around.as_uri())
+        framed.wait_for_function("document.title > 300")
+        inner = framed.frame_locator("iframe").locator("section:visible")
+        assert inner.evaluate_all("all => all.map((one) => one.ariaLabel)") == ["Controls", "Plane"]
     theta = float(dict(setting_of(setting).changes)["policy.theta"])
     problem = taciturn.load("two-mass").changed({"theta": theta})
     expected = taciturn.evaluate(problem, standard_error=0.00073, after_step=False)

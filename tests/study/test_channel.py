@@ -419,7 +419,7 @@ def test_a_bound_on_periodic_control_is_called_a_bound_where_no_schedule_is_know
     assert not one.clock_attained
     assert one.cost_periodic < one.cost_periodic_attained < 1.001 * one.cost_periodic
     told = " ".join(str(one).split())
-    assert f"no periodic below {one.cost_periodic:.6g}" in told
+    assert f"lower bound, periodic {one.cost_periodic:.6g}" in told
     assert f"periodic, best found {one.cost_periodic_attained:.6g}" in told
     assert any("is a lower bound by the mean load" in note for note in one.notes)
     assert one.consistent is not False

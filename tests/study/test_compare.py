@@ -152,8 +152,11 @@ def test_a_cost_that_the_rate_does_not_fix_is_refused() -> None:
 def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     """A picture with a name for each policy; JSON without what JSON cannot say."""
     found = compare({"hold": MASSES, "clock": FEW["clock"]}, 0.3, standard_error=1e-2)
-    axis = found.plot().axes[0]
+    (axis,) = found.plot().axes
     assert [label.get_text() for label in axis.get_yticklabels()] == ["clock", "hold"]
+    assert axis.get_title().replace("\n", " ") == found.verdict[0]
+    above = found.ranking[1].above
+    assert {"above the least", "least", str(above)} <= {text.get_text() for text in axis.texts}
     document: dict[str, Any] = json.loads(json.dumps(found.document(), allow_nan=False))
     assert [place["name"] for place in document["ranking"]] == ["hold", "clock"]
     assert document["ranking"][1]["parameter"]["value"] == [4, 3]
@@ -206,6 +209,6 @@ def test_what_missions_cost_is_a_total_and_what_they_send_a_share_of_their_steps
     )
     assert (found.unit, found.rate_unit) == ("mission", "step")
     assert found.document()["unit"] == found.ranking[0].tuned.evaluation.unit
-    axis = found.plot().axes[0]
-    assert axis.get_title() == "0.2 sends per step"
+    (axis,) = found.plot().axes
+    assert axis.get_title().replace("\n", " ") == found.verdict[0]
     assert axis.get_xlabel().endswith("in total")

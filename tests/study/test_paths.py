@@ -12,6 +12,7 @@ import pytest
 from runtime.silent import build
 
 import taciturn
+from taciturn._style import STYLES
 from taciturn.design.at_fixed_steps import same_nodes
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
@@ -52,7 +53,9 @@ def test_a_path_tells_which_packets_the_links_dropped() -> None:
         assert f"{link} {int(sent.sum())} of 100, {dropped} dropped" in " ".join(str(found).split())
         assert found.document()["delivered"][link] == delivered.tolist()
         assert (found.to_pandas()[f"delivered_{link}"] == delivered).all()
-    (lanes,) = [axis for axis in found.plot().axes if "sensor" in [one.get_text() for one in axis.get_yticklabels()]]
+    (lanes,) = [
+        axis for axis in found.plot().axes if "link sensor" in [one.get_text() for one in axis.get_yticklabels()]
+    ]
     assert marks(lanes, "x") == sum(int((found.sends[link] & ~found.delivered[link]).sum()) for link in found.sends)
     assert all(sent is delivered or (sent == delivered).all() for sent, delivered in zip(
         path("two-mass").sends.values(), path("two-mass").delivered.values(), strict=True
@@ -87,7 +90,7 @@ def test_the_content_of_a_bank_is_part_of_the_threshold_in_a_figure() -> None:
         compared = Weighed(found.triggers[link], found.thresholds[link], found.allowances[link])
         assert compared.ratio is not None
         assert ((compared.ratio > 1) == sent)[1:].all()
-    rows = [axis for axis in found.plot().axes if axis.get_ylabel() in found.sends]
+    rows = [axis for axis in found.plot().axes if axis.get_ylabel().startswith("trigger")]
     assert [axis.get_yscale() for axis in rows] == ["log"] * 4
     assert "allowances" in found.document()
     assert not path("two-mass").allowances
@@ -205,17 +208,33 @@ def test_the_cost_of_a_path_is_that_of_its_steps() -> None:
 def test_the_figure_has_a_panel_for_each_of_what_a_path_has() -> None:
     """Outputs and estimates, inputs, lanes, and triggers as ratios on logarithmic axes."""
     axes = path(TANKS).plot().axes
-    triggers = ["level-1", "level-2", "pump-1", "pump-2"]
+    links = ["level-1", "level-2", "pump-1", "pump-2"]
+    triggers = [f"trigger\n{link}" for link in links]
     assert [axis.get_ylabel() for axis in axes] == ["outputs (cm)", "inputs (V)", "", *triggers]
     assert labels(axes[0]) == ["level 1", "level 2", "estimates"]
     assert labels(axes[1]) == ["pump 1", "pump 2"]
-    assert [label.get_text() for label in axes[2].get_yticklabels()] == ["level-1", "level-2", "pump-1", "pump-2"]
+    assert [label.get_text() for label in axes[2].get_yticklabels()] == [f"link {link}" for link in links]
     assert {axis.get_yscale() for axis in axes[3:]} == {"log"}
     assert axes[0].get_title() == "event-triggered control (distributed)"
-    both = path(TANKS, 100, versus=True).plot().axes
-    assert len(both) == 14
+
+
+def test_curves_of_two_paths_have_the_colours_of_their_controls() -> None:
+    """Those of periodic control are amber, several signals in tones; each column has a key; no triggers are shown."""
+    both, style = path(TANKS, 100, versus=True).plot().axes, STYLES["light"]
+    assert [axis.get_ylabel() for axis in both] == ["outputs (cm)", "", "inputs (V)", "", "", ""]
     assert both[1].get_title() == "periodic control (same nodes)"
     assert both[0].get_ylim() == both[1].get_ylim()
+    for axis, thing in ((both[2], "policy"), (both[3], "periodic control")):
+        assert [line.get_color() for line in axis.get_lines()] == [style.color(thing, tone) for tone in (0, 1)]
+        assert labels(axis) == ["pump 1", "pump 2"]
+
+
+def test_a_figure_for_a_column_of_a_journal_omits_estimates_and_triggers() -> None:
+    """The estimates of several outputs, and triggers between the first and the last."""
+    axes = path(TANKS, 100).plot(style="paper").axes
+    assert labels(axes[0]) == ["level 1", "level 2"]
+    assert [axis.get_ylabel().split("\n")[-1] for axis in axes[3:]] == ["level-1", "pump-2"]
+    assert "estimate" in labels(path("pid-tank", 100).plot(style="paper").axes[0])
 
 
 def test_the_figure_shows_set_points_limits_and_disturbances() -> None:
@@ -259,7 +278,7 @@ def test_names_of_signals_have_their_units_in_the_figure() -> None:
     pendulum = taciturn.load("pendulum-by-encoders")
     found = taciturn.simulate(pendulum.close(pendulum.design()), 20, versus="periodic")
     assert [axis.get_ylabel() for axis in found.plot().axes[::2]] == [
-        "position (m)", "angle (rad)", "force (N)", "", "trigger / threshold",
+        "position (m)", "angle (rad)", "force (N)", "",
     ]  # fmt: skip
     tanks = taciturn.load(TANKS).changed({"names": None})
     assert labels(taciturn.simulate(tanks.close(tanks.design()), 20).plot().axes[0])[:2] == ["level-1", "level-2"]

@@ -32,6 +32,7 @@ from taciturn.model.theory import LowerBound
 from taciturn.renewal.chain import Intervals
 from taciturn.study.periodic import UNSTABLE
 from taciturn.study.recorded import recorded_silence
+from taciturn.study.sentences import share_text
 from taciturn_events.losing_thresholds import Losses, ThresholdPoint
 from taciturn_studies.tune import tune_period
 from taciturn_sweep.sweep import SweepTable
@@ -220,6 +221,41 @@ def test_the_axis_holds_policy_periodic_control_every_sample_and_guarantee() -> 
             bounds = [one.cost_bound_at_rate or one.cost_bound, one.cost_periodic_same_rate]
             values = [one.cost.value, one.cost_all_time, *bounds]
             assert all(low < value < high for value in values if value is not None)
+
+
+def test_the_title_of_a_tradeoff_speaks_of_the_point_in_the_ring() -> None:
+    """Its packets; each point has its parameter, and the label of a bent axis says that it is bent."""
+    found = made("trade-off with a bound")
+    axis = found.plot().axes[0]
+    (ring,) = [line for line in axis.get_lines() if line.get_markerfacecolor() == "none"]
+    (told,) = [point for point in found.points if point.evaluation.cost.value == ring.get_ydata()[0]]
+    assert axis.get_title().startswith(f"{share_text(told.evaluation.share)} of the packets, ")
+    written = [text.get_text() for text in axis.texts]
+    assert {str(point.values["theta"]) for point in found.points} <= {*written}
+    assert "no schedule of this controller (99.9 % confidence)" in written
+    assert axis.get_ylabel().endswith("(axis: logarithmic far from 0)")
+
+
+def test_the_title_of_a_picture_says_its_result() -> None:
+    """The verdict of an evaluation; the parameter and the packets of an answer. A budget has its value."""
+    found = made("evaluation")
+    assert found.plot().axes[0].get_title().replace("\n", " ") == found.verdict[0]
+    tuned = made("tuned").plot().axes[0]
+    assert tuned.get_title().startswith(f"theta = {made('tuned').parameter.value:.4g}: 30")
+    assert "budget 0.3" in [text.get_text() for text in tuned.texts]
+
+
+def test_equal_shares_of_the_links_are_not_drawn() -> None:
+    """Nearly equal ones neither; the label of the rates is then that of the costs."""
+    found = made("trade-off of several links")
+    assert len(found.plot().axes) == 2
+    even = [
+        replace(point, evaluation=replace(one, prices={}, rates=dict.fromkeys(one.rates, one.rates["level-1"])))
+        for point in found.points
+        for one in (point.evaluation,)
+    ]
+    (costs,) = replace(found, points=tuple(even)).plot().axes
+    assert costs.get_xlabel() == "traffic per second: sends on all links"
 
 
 def test_rates_at_which_periodic_control_is_unstable_are_shaded() -> None:

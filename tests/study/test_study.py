@@ -246,7 +246,7 @@ def test_a_picture_of_several_links_has_their_traffic_and_the_share_of_each() ->
     traffic = sorted(one.evaluation.traffic.value for one in found.points if one.evaluation.traffic is not None)
     assert sorted(costs.containers[0].lines[0].get_xdata()) == pytest.approx(traffic)
     assert shares.get_xlabel() == "traffic per step: sends on all links"
-    assert [text.get_text() for text in shares.texts if text.get_text()] == ["actuator", "sensor"]
+    assert [text.get_text() for text in shares.texts if text.get_text()] == ["link actuator", "link sensor"]
     first = shares.collections[0].get_paths()[0].vertices
     point = min((one.evaluation for one in found.points), key=lambda one: one.rates["actuator"].value)
     assert any(y == pytest.approx(100 * point.rates["actuator"].value / traffic[0]) for y in first[:, 1])

@@ -176,7 +176,8 @@ class Violations(Result):
                 series.append(Series(values, rows, label, "bars", errors, POLICIES[index]))
         notes = [f"{one.per_step.value:.2g} of the steps" for _, one in found]
         names = [name for name, _ in found]
-        return [Panel(series, "probability of a violation", names=names, notes=notes, xlog=bool(series))]
+        title = f"limits violated in {self.total.per_step.value:.2g} of the steps"
+        return [Panel(series, "probability of a violation", "", title, names, notes, xlog=bool(series))]
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
         """Draw the probability that each limit is violated, with its standard error."""

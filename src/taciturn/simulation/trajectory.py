@@ -32,8 +32,8 @@ import numpy as np
 from taciturn._arrays import Array, Bits, choice, count, instance
 from taciturn._display import Displayed
 from taciturn._figure import Band, Curve, Lane, Level, Panel, Series, Side, Size, StyleName, draw
-from taciturn._style import Thing
-from taciturn._text import number_of, percent, table_text, width
+from taciturn._style import POLICIES, Thing, find_style
+from taciturn._text import link_names, number_of, percent, table_text, width
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop, close
 from taciturn.model.estimate import Estimate
@@ -63,6 +63,8 @@ NEAR = 1.0  # distance of a limit that is shown from the values, relative to the
 ROOM = 0.06  # of an axis above and below its values, relative to their range
 LEAST = 0.1  # least ratio of a trigger to its threshold that is shown
 MOST = 0.9  # share of the steps in which a threshold that is never negative must be positive for ratios to it
+LEAST_DIFFERENCE = 0.005  # of the costs of two paths, relative to the first, that is written
+NARROW, ROWS = 4.0, 2  # width in inches of a figure that leaves out curves, and its largest number of triggers
 TALL, LOW, FLAT = 1.7, 0.95, 0.55  # heights in inches of panels: of all outputs, of one signal, of one of many triggers
 SAME = 1e-9  # relative difference of numbers that are equal but for rounding
 PREDICTED = "prediction of x by the actuator's model, which gives the input u = L xhat"
@@ -155,10 +157,16 @@ class Trajectory(Tabular):
         return {"steps": len(self.time), "time": last, "sends": packets, "state": self.state, "input": self.input}
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
-        """Draw outputs, inputs, triggers and the packets of each link. A second path is drawn next to the first."""
+        """Draw outputs, inputs, the packets of each link, and triggers. A second path is drawn next to the first.
+
+        The figure of two paths shows the triggers that both paths have; periodic control has none.
+
+        For a column of a journal (``style="paper"``), the figure omits the estimates of several outputs and, of more
+        than two triggers, all but the first and the last.
+        """
         paths = [self] if self.versus is None else [self, self.versus]
-        columns = [_panels(path, paths) for path in paths]
-        return draw(columns[0] if len(columns) == 1 else [Side(one) for one in columns], ax, figsize, style)
+        brief = find_style(style).width < NARROW
+        return draw([Side(_panels(path, paths, brief)) for path in paths], ax, figsize, style)
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -245,11 +253,15 @@ class _Shown:
         return [one for one in (self.values, self.estimate, self.target) if one is not None]
 
 
-def _panels(path: Trajectory, paths: Sequence[Trajectory]) -> list[Panel]:
-    """Return the panels of one of several paths, whose panels have equal axes."""
-    found = list[Panel]()
+def _panels(path: Trajectory, paths: Sequence[Trajectory], brief: bool) -> list[Panel]:
+    """Return the panels of one of several paths, with equal axes and the triggers that all paths have."""
+    found, first = list[Panel](), paths[0]
+    own: Thing | int = "policy" if path is first else POLICIES[1] if path.triggers else "periodic control"
+    thing = None if len(paths) == 1 else own  # in whose colour all signals are
     for what, shown in (("output", _outputs), ("disturbance", _disturbances), ("input", _inputs)):
         rows = [list(shown(one)) for one in paths]
+        if brief and what == "output" and len(rows[0]) > 1:
+            rows = [[replace(one, estimate=None) for one in row] for row in rows]
         mine = next(row for row, one in zip(rows, paths, strict=True) if one is path)
         for group in _groups(rows):
             word = "state" if what == "output" and mine[0].name.startswith("$x") else what
@@ -257,10 +269,12 @@ def _panels(path: Trajectory, paths: Sequence[Trajectory]) -> list[Panel]:
             plain = mine[group[0]].name
             alone = plain if len(mine) > 1 or "$" not in plain else word
             title = alone if len(group) == 1 else f"{word}s ({unit})" if unit else f"{word}s"
-            found.append(_panel(path, [mine[i] for i in group], [row[i] for row in rows for i in group], what, title))
+            everywhere = [row[i] for row in rows for i in group]
+            found.append(_panel(path, [mine[i] for i in group], everywhere, what, title, thing))
+    names = link_names(path.delivered)
     lanes = [
         Lane(
-            link,
+            names[link],
             path.time[delivered].tolist(),
             path.time[path.sends[link] & ~delivered].tolist(),
             (),
@@ -268,11 +282,14 @@ def _panels(path: Trajectory, paths: Sequence[Trajectory]) -> list[Panel]:
         )
         for link, delivered in path.delivered.items()
     ]
-    names = list(dict.fromkeys(link for one in paths for link in one.triggers))
-    found += [Panel(lanes=lanes, step=path.step), *(_trigger(path, link, names) for link in names)]
-    cost = f"cost {path.cost:.4g} on this path"
-    thing: Thing | None = "policy" if path is paths[0] else None if path.triggers else "periodic control"
-    found[0] = replace(found[0], title=path.name, note=cost, thing=thing)
+    links = [link for link in first.triggers if all(link in one.triggers for one in paths)]
+    links = [links[0], links[-1]] if brief and len(links) > ROWS else links
+    found += [Panel(lanes=lanes, step=path.step), *(_trigger(path, link, links, own) for link in links)]
+    packets = number_of(sum(int(sent.sum()) for sent in path.sends.values()), "packet")
+    above = path.cost / first.cost - 1 if first.cost > 0 else 0.0
+    more = f" ({percent(above, 0, signed=True)})" if abs(above) >= LEAST_DIFFERENCE else ""
+    note = f"{packets}, cost {path.cost:.4g} on this path{more.replace('-', '−')}"
+    found[0] = replace(found[0], title=path.name, note=note, thing=own)
     found[-1] = replace(found[-1], xlabel=f"time ({path.unit})")
     return found
 
@@ -297,20 +314,31 @@ def _groups(rows: Sequence[Sequence[_Shown]]) -> list[list[int]]:
     return found
 
 
-def _panel(path: Trajectory, own: Sequence[_Shown], all_of: Sequence[_Shown], what: str, ylabel: str) -> Panel:
-    """Return the panel of some signals of a path, whose y axis also holds those of the other paths."""
+def _panel(
+    path: Trajectory,
+    own: Sequence[_Shown],
+    all_of: Sequence[_Shown],
+    what: str,
+    ylabel: str,
+    of: Thing | int | None,
+) -> Panel:
+    """Return the panel of some signals of a path, whose y axis also holds those of the other paths.
+
+    The signals have colours of their own, or tones of the colour of the thing ``of``.
+    """
     time, series, targets = path.time.tolist(), list[Series](), dict[bytes, Array]()
     held: Curve = "steps" if what == "input" and not path.predicts else "line"
     guess = "prediction of the actuator" if path.predicts else "estimate" if len(own) == 1 else "estimates"
     guesses = list[Series]()
     for i, one in enumerate(own):
-        thing: Thing | int = "disturbance" if what == "disturbance" and len(own) == 1 else i
+        thing: Thing | int = "disturbance" if what == "disturbance" and len(own) == 1 else i if of is None else of
+        tone = i if thing == of else None
         if one.estimate is not None:
             label = guess if i == 0 else ""
-            guesses.append(Series(time, one.estimate.tolist(), label, "dotted", None, thing, faint=True))
+            guesses.append(Series(time, one.estimate.tolist(), label, "dotted", None, thing, faint=True, signal=tone))
         name = unit_of(one.name)[0] if ylabel.endswith(")") else one.name
         label = name if len(own) > 1 or one.estimate is not None or one.target is not None else ""
-        series.append(Series(time, one.values.tolist(), label, held, None, thing))
+        series.append(Series(time, one.values.tolist(), label, held, None, thing, signal=tone))
         if one.target is not None:
             targets[one.target.tobytes()] = one.target
     point = "operating point" if path.loop.problem.rest is not None and _signals(path) is None else "set-point"
@@ -342,12 +370,10 @@ def _axis(signals: Sequence[_Shown]) -> tuple[tuple[float, float], list[Band]]:
     return ends, [replace(band, label=words if i == 0 else "") for i, band in enumerate(bands)]
 
 
-def _trigger(path: Trajectory, link: str, links: Sequence[str]) -> Panel:
-    """Return the panel of the trigger of a link; it is empty if the packets of this path follow a timetable."""
+def _trigger(path: Trajectory, link: str, links: Sequence[str], own: Thing | int) -> Panel:
+    """Return the panel of the trigger of a link of a path, which has the colour of the thing ``own``."""
     alone = len(links) == 1
-    plain = Panel(ylabel="trigger" if alone else link, height=LOW if alone else FLAT, step=path.step)
-    if link not in path.triggers:
-        return replace(plain, empty="sends at fixed steps" if link == links[0] else " ")
+    plain = Panel(ylabel="trigger" if alone else f"trigger {link}", height=LOW if alone else FLAT, step=path.step)
     weighed = Weighed(path.triggers[link], path.thresholds[link], path.allowances.get(link))
     ratio = weighed.ratio
     positive = ratio is not None
@@ -358,7 +384,7 @@ def _trigger(path: Trajectory, link: str, links: Sequence[str]) -> Panel:
         most = float(np.nanmax(shown))
         ends = LEAST * min(1.0, most) if most > 0 else LEAST, max(3.0, 1.3 * most)
     sent = shown > limit
-    marks: dict[Thing, Bits] = {"trigger": ~sent & (shown > (ends or (-np.inf,))[0]), "policy": sent}
+    marks: dict[Thing | int, Bits] = {"trigger": ~sent & (shown > (ends or (-np.inf,))[0]), own: sent}
     series = [
         Series(path.time[here].tolist(), shown[here].tolist(), "", "stems", None, thing)
         for thing, here in marks.items()

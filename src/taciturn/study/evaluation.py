@@ -580,7 +580,7 @@ class Evaluation(Tabular):
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
         rows = [(row.name, row.cost, row.up) for row in self.table_rows() if row.cost is not None]
-        panels = [cost_panel(rows, [self.cost.value], self.cost_all_time, self.per)]
+        panels = [cost_panel(rows, [self.cost.value], self.cost_all_time, self.per, self.verdict[0])]
         panels += [rate_panel(self.rates, self.base_rate, self.rate_unit)] if self.rates else []
         panels += [] if self.violations is None else self.violations.panels()
         return draw(panels, ax, figsize, style)
@@ -601,7 +601,7 @@ class Evaluation(Tabular):
             _Row("guarantee", _known(proved(self.cost_bound)), {}, 1, _known(self.cost_bound)),
             _Row("guarantee, this rate", self.guarantee_at_rate, same, 1),
             _Row("certificate of the nodes", self.certificate, same, 1),
-            _Row("no schedule below", _known(least), same, -1, _known(lower)),
+            _Row("lower bound, any schedule", _known(least), same, -1, _known(lower)),
         )
         return [row for row in found if row.cost is not None]
 

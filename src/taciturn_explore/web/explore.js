@@ -205,7 +205,7 @@ export function mount(outer, transport, begin, problems = [], given = begin) {
     load.textContent = point.load ?? "";
     disturbed.textContent = point.by_default ? "with a slow disturbance by default" : "";
     table();
-    effort.textContent = `${point.refined ? "refined" : "first"} answer, ${point.method}, ${point.effort}, seed ${state.settled.seed}`;
+    effort.textContent = [`${point.refined ? "refined" : "first"} answer`, point.method, point.effort, `seed ${state.settled.seed}`].filter(Boolean).join(", ");
     if (sentence.hidden) headline.style.minHeight = `${headline.getBoundingClientRect().height}px`; // a shorter verdict moves nothing
   }
 
@@ -280,7 +280,7 @@ export function mount(outer, transport, begin, problems = [], given = begin) {
     if (point.every) rows.push(row("every", "every sample", point.every.text, "", point.every_text));
     if (point.guarantee) rows.push(row("guarantee", "guarantee", point.guarantee.text, point.guarantee.above));
     if (bound && bound.cost) rows.push(row("bound", "no schedule below", own(bound) ? bound.text : "…"));
-    numbers.replaceChildren(html("thead", {}, html("tr", {}, html("td", {}), html("th", { scope: "col" }, `cost ${point.unit}`), html("th", { scope: "col" }, "extra"), html("th", { scope: "col" }, point.traffic_unit))), html("tbody", {}, ...rows));
+    numbers.replaceChildren(html("thead", {}, html("tr", {}, html("td", {}), html("th", { scope: "col" }, `cost ${point.unit}`), html("th", { scope: "col" }, "extra cost"), html("th", { scope: "col" }, point.traffic_unit))), html("tbody", {}, ...rows));
   }
 
   const [text, pinned] = parts(begin);

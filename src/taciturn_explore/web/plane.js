@@ -10,6 +10,10 @@ const NEAR = 6; // a rival that is farther from every sample than so many times 
 const REACH = 1.3; // of the curve of the policy, relative to the range of the numbers at the point
 const ROOM = 1.08;
 const ROW = 15; // pixels of a name at the edge
+const WIDE = 440; // pixels of a figure with room for names at the right
+const LETTER = 6.6; // pixels of a letter of a name
+const LEADER = 14; // pixels from the right end of the figure to a name
+const END = 0.85; // part of the width of the figure beyond which a curve ends at the right
 const SMOOTH = 0.02; // error of a curve, relative to the range of the costs, up to which it is drawn through the point
 const KEY = 1.08; // ratio of the parameter before and after an arrow key
 export const LOOKS = ["kind-a", "kind-b", "kind-c", "kind-d"]; // classes of the curves of other kinds
@@ -103,10 +107,13 @@ export function createPlane(move) {
     const whole = point.whole ?? Math.max(...own().map((one) => one.traffic), 1.5 * point.traffic.value);
     if (!dragging || !state.domain) state.domain = range(whole);
     const base = point.every && point.every.cost > 0 ? point.every.cost : null;
-    const x = scale([0, 1.04 * whole], [EDGE.left, width - EDGE.right]);
+    const beside = width >= WIDE, shown = [...state.curves.values()].filter((one) => !one.own);
+    const longest = Math.max(...["every sample", ...shown.map((one) => one.kind)].map((one) => one.length));
+    const margin = beside ? LEADER + LETTER * longest + 4 : EDGE.right;
+    const x = scale([0, 1.04 * whole], [EDGE.left, width - margin]);
     const y = scale(state.domain, [height - EDGE.bottom, EDGE.top]);
     geometry = { x, y };
-    const [top, bottom, left, right] = [EDGE.top, height - EDGE.bottom, EDGE.left, width - EDGE.right];
+    const [top, bottom, left, right] = [EDGE.top, height - EDGE.bottom, EDGE.left, width - margin];
     const grid = svg("g", { class: "axis" });
     const percent = base ? ticks([(state.domain[0] / base - 1) * 100, (state.domain[1] / base - 1) * 100], height / 52) : null;
     for (const tick of percent ?? ticks(state.domain, height / 52)) {
@@ -121,8 +128,8 @@ export function createPlane(move) {
       grid.append(svg("text", { x: at, y: bottom + 17, "text-anchor": "middle" }, point.whole ? `${Math.round(100 * share)} %` : number(share * whole, 3)));
     }
     const priced = point.traffic_unit.startsWith("traffic");
-    grid.append(svg("text", { x: (left + right) / 2, y: height - 6, "text-anchor": "middle", class: "title" }, point.whole ? (priced ? "traffic, priced, of that with every sample" : "packets sent, of those with every sample") : point.traffic_unit));
-    grid.append(svg("text", { x: left - 44, y: 11, class: "title" }, base ? "cost above every sample" : `cost ${point.unit}`));
+    grid.append(svg("text", { x: (left + right) / 2, y: height - 6, "text-anchor": "middle", class: "title" }, point.whole ? (priced ? "traffic, priced, compared with every sample" : "packets, compared with every sample") : point.traffic_unit));
+    grid.append(svg("text", { x: left - 44, y: 11, class: "title" }, base ? "extra cost, compared with every sample" : `cost ${point.unit}`));
 
     const body = svg("g", { "clip-path": "url(#plane-clip)" });
     const labels = [];
@@ -132,8 +139,8 @@ export function createPlane(move) {
       const [a, b] = [0, 1.04 * whole];
       body.append(svg("path", { class: "never", d: `${line([[x(a), y(at(a))], [x(b), y(at(b))]])}L${x(b)} ${bottom}L${x(a)} ${bottom}Z` }));
     }
-    for (const curve of state.curves.values()) {
-      if (curve.own || curve.points.length < 2) continue;
+    for (const curve of shown) {
+      if (curve.points.length < 2) continue;
       const { look } = curve, points = mapped(curve.points);
       body.append(svg("path", { class: `curve ${look}`, d: line(points) }));
       labels.push({ text: curve.kind, class: look, points });
@@ -158,7 +165,12 @@ export function createPlane(move) {
     const taken = [], outside = edges(whole, x, y, [top, bottom, left, right], base, mapped);
     if (point.every) {
       marks.append(svg("circle", { class: "every", cx: x(whole), cy: y(point.every.cost), r: 4.5 }));
-      marks.append(svg("text", { class: "label", x: x(whole), y: y(point.every.cost) + 19, "text-anchor": "end" }, "every sample"));
+      if (beside) labels.push({ text: "every sample", class: "", points: [[x(whole), y(point.every.cost)], [x(whole) + 7, y(point.every.cost)]] });
+      else {
+        const at = y(point.every.cost) + 19;
+        marks.append(svg("text", { class: "label", x: x(whole), y: at, "text-anchor": "end" }, "every sample"));
+        taken.push([x(whole) - LETTER * "every sample".length, at - 11, x(whole), at + 4]);
+      }
     }
     if (point.written && y(point.written.cost) >= top && y(point.written.cost) <= bottom) {
       const at = [x(point.written.traffic), y(point.written.cost)];
@@ -181,18 +193,43 @@ export function createPlane(move) {
         marks.append(svg("circle", { class: "same", cx: here[0], cy: at, r: 3.5 }));
       }
     }
-    const unnamed = labels.filter((one) => one.class !== "guarantee" || !outside.some((other) => other.look === one.class)); // its name is at the edge
+    const ended = beside ? labels.filter((one) => reach(one, left, right, top, bottom)) : [];
+    const unnamed = labels.filter((one) => !ended.includes(one) && (one.class !== "guarantee" || !outside.some((other) => other.look === one.class))); // its name is at the edge
     const ghost = state.ghost ? [x(state.ghost.traffic), y(state.ghost.cost)] : here;
     const level = Math.max(top, Math.min(bottom, ghost[1])); // a curve may lead out of the range
     handle.setAttribute("transform", `translate(${ghost[0].toFixed(1)} ${level.toFixed(1)})`);
     const clip = svg("clipPath", { id: "plane-clip" }, svg("rect", { x: left, y: top - 2, width: right - left, height: bottom - top + 2 }));
     figure.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    drawn.replaceChildren(svg("defs", {}, clip), grid, body, marks, svg("g", { class: "labels" }, ...place(unnamed, left, right, top, bottom, here, [...taken, ...outside.map((one) => one.box)]), ...outside.map((one) => one.node)));
+    drawn.replaceChildren(svg("defs", {}, clip), grid, body, marks, svg("g", { class: "labels" }, ...column(ended, left, right, top, bottom), ...place(unnamed, left, right, top, bottom, here, [...taken, ...outside.map((one) => one.box)]), ...outside.map((one) => one.node)));
     handle.removeAttribute("display");
     name();
   }
 
-  // Put the label of each curve next to it, where it is free of other labels and of all curves, near its upper end.
+  // The last visible point of a curve that goes on to the right end of the figure.
+  function reach(label, left, right, top, bottom) {
+    const [px, py] = dense(label.points).filter(([px, py]) => px <= right && py >= top && py <= bottom).at(-1) ?? [-Infinity, 0];
+    return px > left + END * (right - left) ? [px, py] : null;
+  }
+
+  // The labels of curves at their right ends, below each other, each with a line that leads to it. They have the order of
+  // the curves in the middle of the figure, as curves that meet at the end have none there.
+  function column(labels, left, right, top, bottom) {
+    const far = ([px]) => Math.abs(px - (left + right) / 2);
+    const high = (label) => dense(label.points).reduce((best, one) => (far(one) < far(best) ? one : best))[1];
+    const found = labels.map((label) => ({ label, end: reach(label, left, right, top, bottom), high: high(label) })).sort((a, b) => a.high - b.high);
+    const middle = found.reduce((sum, one) => sum + one.end[1], 0) / Math.max(1, found.length);
+    const first = Math.max(top + 8, Math.min(bottom - 4 - ROW * (found.length - 1), middle - (ROW * (found.length - 1)) / 2));
+    return found.flatMap(({ label, end: [px, py] }, i) => {
+      const at = first + ROW * i;
+      return [
+        svg("path", { class: `leader ${label.class}`, d: line([[px, py], [right + 2, py], [right + LEADER - 3, at]]) }),
+        svg("text", { class: `label ${label.class}`, x: right + LEADER, y: at + 4 }, label.text),
+      ];
+    });
+  }
+
+  // Put the label of each other curve next to it, where it is free of other labels and of all curves: that of another kind
+  // near its upper end, and the others near their right ends.
   function place(labels, left, right, top, bottom, here, edges) {
     const curves = labels.filter((one) => one.points.length > 2).flatMap((one) => dense(one.points));
     const taken = [[here[0] - 16, here[1] - 16, here[0] + 16, here[1] + 16], ...edges], found = [];
@@ -200,10 +237,10 @@ export function createPlane(move) {
     const free = (box) => box[0] >= left && box[2] <= right && box[3] < bottom && !curves.some((one) => hit(box, one))
       && taken.every((one) => box[2] < one[0] || box[0] > one[2] || box[3] < one[1] || box[1] > one[3]);
     for (const label of [...labels].sort((a, b) => (b.first ?? 0) - (a.first ?? 0))) {
-      const size = 6.6 * label.text.length + 2;
+      const size = LETTER * label.text.length + 2;
       let spot = null;
       const lowest = label.class.startsWith("kind") ? (top + bottom) / 2 : bottom;
-      for (const [px, py] of dense(label.points)) {
+      for (const [px, py] of label.class.startsWith("kind") ? dense(label.points) : dense(label.points).reverse()) {
         if (py < top + 2 || py > lowest || spot) continue;
         for (const at of [[px + 7, py + 4], [px + 5, py - 6], [px - size - 6, py + 12], [px - size - 6, py + 4]]) {
           const y = Math.max(top + 10, at[1]);

@@ -43,4 +43,9 @@ export function open(host, { settings, shared, first, key }) {
   for (const one of page.host.querySelectorAll("#kind, #seed, #steps")) one.disabled = true;
   page.host.querySelector(".tools").remove();
   page.host.append(html("p", { class: "dim" }, `A saved page with ${settings.length} settings. Every number was computed by the library.`));
+  if (new URLSearchParams(location.search).has("plane")) { // in a frame of another page, which gives it the height that it tells
+    page.host.classList.add("alone");
+    page.host.querySelector(".drawer").open = true;
+    new ResizeObserver(() => parent.postMessage({ height: page.host.offsetHeight }, "*")).observe(page.host);
+  }
 }
