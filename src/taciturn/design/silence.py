@@ -307,7 +307,7 @@ def cost_of_silence(
 ) -> Silence:
     """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it.
 
-    ``slopes`` are those by known changes of set-points, (steps, c), by the clock of the policy.
+    ``slopes`` are those that known changes of set-points cause, (steps, c), one row for each step of the timetable.
     """
     n = found.slope.shape[-1]
     none = np.zeros((*found.H.shape[:2], n, n))
