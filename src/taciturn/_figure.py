@@ -467,7 +467,7 @@ def _plot(axis: Any, series: Series, style: Style, step: float | None) -> None:
 
 
 def _note_points(axis: Any, panel: Panel, style: Style) -> None:
-    """Write the notes of points beside them; those without room are left out."""
+    """Write the notes of points next to them; those without room are left out."""
     letters, pixels = 0.8 * style.letters, axis.figure.dpi / 72
 
     def spots(points: Sequence[tuple[float, float]]) -> list[Spot]:

@@ -1,4 +1,4 @@
-"""Where texts have room in a figure: widths and lines of texts, and places beside points and curves, in points.
+"""Where texts have room in a figure: widths and lines of texts, and places next to points and curves, in points.
 
 A text is divided into as few lines as have room, of nearly equal lengths. Names that would overlap move apart by as
 little as possible. The note of a point stands perpendicular to its curve, where it covers nothing, nearer to its own
