@@ -113,6 +113,14 @@ def functions(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
     return found
 
 
+def test_a_counted_noun_agrees_with_its_number() -> None:
+    """A text writes the length of a list with ``number_of``: "1 entry", not "1 entries"."""
+    for path in sorted(SOURCE.parent.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        wrong = re.findall(r"\{len\([^{}]*\)\} (?!of\b|is\b)[a-z-]+s\b", text)
+        assert not wrong, f"{path.name}: {wrong}"
+
+
 def test_imports_only_go_down() -> None:
     """No floor knows those above it, and siblings never meet."""
     assert violations(SOURCE) == []

@@ -91,7 +91,7 @@ def brief(value: Any, longest: int = _SHORT) -> str:
     elif isinstance(value, str):
         return repr(_cut(value, longest))
     elif isinstance(value, bytes | bytearray):
-        text = f"{len(value)} bytes"
+        text = f"{len(value)} byte{'' if len(value) == 1 else 's'}"
     elif isinstance(value, Mapping):
         named = cast("Mapping[str, Any]", value)
         return _joined("{}", [f"{name}: {brief(entry, longest)}" for name, entry in named.items()], longest)

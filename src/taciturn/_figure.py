@@ -726,8 +726,8 @@ def _check_canvas(ax: Any, figsize: Any, panels: int) -> list[Any]:
         )
     if len(axes) != panels:
         raise ProblemError(
-            f"ax has {len(axes)} axes; expected {panels} axes, one for each panel of this figure, as from figure, ax = "
-            f"matplotlib.pyplot.subplots({panels})"
+            f"the number of axes in ax is {len(axes)}; expected {panels}, one for each panel of this figure, as from "
+            f"figure, ax = matplotlib.pyplot.subplots({panels})"
         )
     return axes
 

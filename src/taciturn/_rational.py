@@ -128,7 +128,7 @@ def rational(values: Array) -> fmpq_mat:
 
 
 def nearest(whole: fmpz_mat, factor: fmpq) -> Array:
-    """Multiply integers by ``factor``, and round to the nearest doubles. Too large products become infinite."""
+    """Multiply integers by ``factor``, and round to the nearest doubles; a product beyond them is infinite."""
     over, under = int(factor.p), int(factor.q)
     return np.array([_quotient(int(one) * over, under) for one in whole.entries()]).reshape(
         whole.nrows(), whole.ncols()

@@ -176,9 +176,10 @@ def backslash_text(path: str, error: str = "") -> str:
 
 
 def number_of(number: object, noun: str) -> str:
-    """Return a number, or its text, with its noun in the singular or plural: 1 step, 0 steps, 2.5 steps."""
-    text = f"{number}"
-    return f"{text} {noun}{'' if text == '1' else 's'}"
+    """Return a number, or its text, with its noun in the singular or plural: 1 step, 0 steps, 2 entries."""
+    text, ending = f"{number}", "es" if noun.endswith("ch") else "s"
+    plural = f"{noun[:-1]}ies" if noun.endswith("try") else noun + ending
+    return f"{text} {noun if text == '1' else plural}"
 
 
 def link_names(links: Iterable[str]) -> dict[str, str]:

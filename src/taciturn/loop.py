@@ -52,6 +52,7 @@ from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.ops import Name, Precision, Sent, Silence, named
+from taciturn.program.ranges import ranges_of_sums
 from taciturn.program.signals import TIMETABLE, add_changes, add_jumps, draw_noise
 from taciturn.program.tracing import trace
 from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state
@@ -108,6 +109,7 @@ COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
 LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
+_SETTING_UP = 4  # steps at the start whose packets are not part of an average
 NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
 
 
@@ -216,6 +218,21 @@ class Loop(Displayed):
         """True if a simulation without the plant, driven by the innovations, has the same distribution."""
         gaussian = self.problem.gaussian and self.policy.theory.innovations is not None
         return self.nominal and gaussian and self.horizon is None
+
+    @cached_property
+    def mute(self) -> frozenset[str]:
+        """The links that never send, whatever the noise is: in no state do their decisions ask for a packet.
+
+        Without a horizon, packets of the first steps, which set a receiver up, do not count.
+        """
+        plant = self.problem.plant
+        program = self.whole_program().keep(sums={Sent(link) for link in self.policy.scheduled})
+        begun = {("x", i): float(mean) for i, mean in enumerate(plant.mean) if not plant.covariance[i].any()}
+        if isinstance(plant.changes, SampledChanges):  # starts at a random step of the timetable
+            begun.clear()
+        starts = [begun.get(state.start) if isinstance(state.start, tuple) else state.start for state in program.states]
+        ranges = ranges_of_sums(program, starts, _SETTING_UP if self.horizon is None else 0)
+        return frozenset(link for link in self.policy.scheduled if ranges[Sent(link)].high == 0)
 
     def program(self, uniforms: int = 0) -> Program:
         """Return the program that computes one step of the loop, including the plant and the random numbers.
@@ -483,12 +500,12 @@ def close(
         cost = padded(cost, policy.model.inputs)
     period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
     problem = discretise(plant, cost, period, policy.prediction)
-    for name, size in (("states", "stated"), ("inputs", "inputs"), ("outputs", "outputs")):
+    for name, size in (("state", "stated"), ("input", "inputs"), ("output", "outputs")):
         got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:
             raise ProblemError(
-                f"the plant of the loop has {got} {name}; expected {expected} {name}, as in the plant of the policy's "
-                "design"
+                f"the plant of the loop has {number_of(got, name)}; expected {number_of(expected, name)}, as in the "
+                "plant of the policy's design"
             )
     problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
     problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem

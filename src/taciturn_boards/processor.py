@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from taciturn.errors import ProblemError
+from taciturn.extend import number_of
 from taciturn_boards.cortex import EmulatedBoard, emulate
 
 BEGIN = 0x54  # first byte of a frame: see board/loop.c
@@ -108,7 +109,8 @@ class NodeOnBoard:
         numbers = [float(value) for value in (() if measurement is None else measurement)]
         if not 0 <= tick < LAST or len(datagrams) > MOST_DATAGRAMS or len(numbers) > MOST_NUMBERS:
             raise ProblemError(
-                f"step {tick} is given with {len(datagrams)} datagrams and {len(numbers)} measurements; expected a "
+                f"step {tick} is given with {number_of(len(datagrams), 'datagram')} and "
+                f"{number_of(len(numbers), 'measurement')}; expected a "
                 f"step from 0 to 2^64 - 2, at most {MOST_DATAGRAMS} datagrams and at most {MOST_NUMBERS} measurements"
             )
         if any(len(one) > LARGEST for one in datagrams):

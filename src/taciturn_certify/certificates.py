@@ -17,7 +17,7 @@ import numpy as np
 
 from taciturn.analyse.switched import Switched
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, check_time
+from taciturn.extend import Array, Displayed, check_time, number_of
 from taciturn_certify.inequalities import Inequalities, Inequality, Square, Unknowns, Widest
 
 MARGINS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)  # tried in this order for the inequalities, in coordinates of unit size
@@ -94,8 +94,8 @@ def find_decay(loop: Switched) -> Decay:
     if found is None:
         raise NoCertificateError(
             f"a decay by {1 - LAST:.0e} per step could not be proved with quadratic Lyapunov functions of "
-            f"{loop.states} coordinates, one for each of {len(loop.labels)} actions; expected a trigger that sends "
-            "more often"
+            f"{number_of(loop.states, 'coordinate')}, one for each of {number_of(len(loop.labels), 'action')}; "
+            "expected a trigger that sends more often"
         )
     low, rate = 0.0, LAST
     for _ in range(HALVINGS):

@@ -21,6 +21,7 @@ from taciturn.extend import (
     answered_within,
     draw,
     link_names,
+    number_of,
     radius,
     table_text,
 )
@@ -84,7 +85,7 @@ def _any_noise(found: Certificates) -> str:
 
 
 def _policy(found: Certificates) -> str:
-    return f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
+    return f"{found.policy}, {number_of(found.states, 'state')}, actions {', '.join(found.actions)}"
 
 
 def _meanings(found: Certificates) -> list[tuple[str, str]]:

@@ -26,7 +26,7 @@ import numpy as np
 from taciturn.analyse.renewal import resets
 from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.extend import Array, Displayed, count, instance, radius
+from taciturn.extend import Array, Displayed, count, instance, number_of, radius
 from taciturn.loop import close
 from taciturn.model.coverage import LINEAR_LOOP, Coverage
 from taciturn.model.network import Network
@@ -237,8 +237,8 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
         raise ProblemError("problems is empty; expected at least one problem, whose loops share the channel")
     if len(copies) not in (1, len(problems)):
         raise ProblemError(
-            f"copies has {len(copies)} numbers for {len(problems)} problems; expected one number for each problem, or "
-            "one number for all"
+            f"copies has {number_of(len(copies), 'number')} for {number_of(len(problems), 'problem')}; expected one "
+            "number for each problem, or one number for all"
         )
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
     problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in problems.items()}

@@ -32,6 +32,7 @@ from taciturn.extend import (
     in_notebook,
     instance,
     number,
+    number_of,
     percent,
     table_text,
 )
@@ -109,7 +110,7 @@ def _periodic(found: Sharing) -> dict[str, float]:
 def _verdict(found: Sharing) -> str:
     """Return the cost, next to that of periodic control and of the best scheduler."""
     base, bound = found.cost_all_time, found.lower_bound
-    start = f"{found.loops} loops, at most {found.capacity} sends per step: "
+    start = f"{number_of(found.loops, 'loop')}, at most {number_of(found.capacity, 'send')} per step: "
     if not base:
         return f"{start}sum of costs {found.cost} per {found.unit}"
     told = [compared_text(found.cost, base)]
@@ -407,7 +408,7 @@ def share_channel(
         loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
         if capacity > loops:
             raise ProblemError(
-                f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
+                f"capacity is {capacity}, but the channel has only {number_of(loops, 'loop')}; expected at most {loops}"
             )
         if standard_error is not None and steps is not None:
             raise ProblemError(f"standard_error and steps={steps} are both given; expected one of them")

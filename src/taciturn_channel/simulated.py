@@ -68,7 +68,7 @@ class RoundRobin:
         self.turns = np.arange(loops, dtype=np.float64)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Let the next loops in the fixed order send in the slots of this step."""
+        """Give the slots of this step to the loops whose turn it is in the fixed order."""
         sent = _lowest(self.turns[None, at], self.capacity)
         self.turns[at[sent[0]]] += self.loops
         return _alike(sent, len(urgency))
@@ -112,7 +112,7 @@ class RandomAccess:
         self.slots, self.draws, self.backlog = slots, np.random.default_rng(seed), np.zeros(1)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Assign a random slot to each loop that tries to send; loops whose packets do not collide have sent."""
+        """Give a random slot to each loop that tries to send; a packet that is alone in its slot arrives."""
         channels = len(urgency)
         backlog = np.broadcast_to(self.backlog, channels)
         tries = (urgency > 0) & (

@@ -34,7 +34,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from taciturn.extend import Array, Displayed, OutOfTime, Progress, Stages, number, root, symmetrised
+from taciturn.extend import Array, Displayed, OutOfTime, Progress, Stages, number, number_of, root, symmetrised
 from taciturn.model.plant import JumpNoise
 from taciturn.renewal.chain import Chain, Intervals, NoQuadratureError, Renewal
 from taciturn_events.jump_density import (
@@ -91,7 +91,7 @@ class Sums(Displayed):
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of checks at which an unsent error is outside the quadrature nodes' region."""
+        """Return a bound on the share of checks at which an unsent error is outside the region of the quadrature."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:
@@ -465,8 +465,8 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
         )
     if len(A) > 2:
         raise NoQuadratureError(
-            f"the jumps affect {len(A)} dimensions of the error to which Ψ or Γ gives weight, but this quadrature "
-            "supports at most two; simulate instead"
+            f"the jumps affect {number_of(len(A), 'dimension')} of the error to which Ψ or Γ gives weight, but this "
+            "quadrature supports at most two; simulate instead"
         )
     rate, period, told = noise.jumps.rate, noise.period, Stages(progress)
     checks = _followed(rate * period, LONGEST[len(A)])

@@ -48,7 +48,7 @@ def explore(
     """
     import webbrowser
 
-    from taciturn.extend import until_stopped
+    from taciturn.extend import number_of, until_stopped
     from taciturn_explore.server import open_page, open_recording
     from taciturn_explore.setting import setting_for, settings_of
     from taciturn_udp.endpoint import parse_address
@@ -60,7 +60,6 @@ def explore(
         problem = load_changed(file, settings, no_functions)
         found = read_recording(recording, problem)
         if save is not None:
-            from taciturn.extend import number_of
             from taciturn_explore.saved import save_recording
 
             save_recording(found, save)
@@ -75,7 +74,7 @@ def explore(
 
             with progress_bar("computing") as progress:
                 many = save_page(begin, trusted, save, progress)
-            typer.echo(f"page: {save}, with {many} settings")
+            typer.echo(f"page: {save}, with {number_of(many, 'setting')}")
             return
         opened = partial(open_page, begin, trusted, address, token)
     with until_stopped() as stopped, opened() as page:

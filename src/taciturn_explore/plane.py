@@ -14,15 +14,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, number_of, percent
+from taciturn.extend import Displayed, Stages, number_of, percent
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate, bound_text
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import PolicyWithoutSteps
 from taciturn.simulation.average import difference
-from taciturn.study.evaluate import choose_confidence, evaluate
+from taciturn.study.evaluate import choose_confidence, evaluate, with_written
 from taciturn.study.evaluation import Evaluation, clock_text, percent_above
+from taciturn.study.measure import Request
 from taciturn.study.periodic import clock_of
 from taciturn_explore.controls import tuned
 from taciturn_explore.files import Effort, command, python_lines
@@ -58,14 +59,15 @@ def fine(found: Evaluation) -> Effort:
 
 
 def measured(setting: Setting, problem: Problem, effort: Effort, further: bool = False) -> Evaluation:
-    """Evaluate a setting as ``taciturn evaluate`` does; with ``further``, also evaluate the loops for comparison."""
-    return evaluate(
-        problem,
-        seed=setting.seed,
-        steps=effort.steps,
-        standard_error=effort.standard_error,
-        after_step=further,
+    """Evaluate a setting as ``taciturn evaluate`` does, without averages after a step, which the page does not show.
+
+    With ``further``, also evaluate the loop on the plant as written.
+    """
+    found = evaluate(
+        problem, seed=setting.seed, steps=effort.steps, standard_error=effort.standard_error, after_step=False
     )
+    request = Request(setting.seed, effort.standard_error, effort.steps, "auto")
+    return with_written(problem, request, found, Stages(None)) if further else found
 
 
 def point(setting: Setting, problem: Problem, found: Evaluation, effort: Effort) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def _joined(role: str, parts: list[list[Line]]) -> list[Line]:
             )
     links = {key for line in found for key in line if key.startswith(("sent_", "arrived_"))}
     if len(links) > LINKS:
-        raise ProblemError(f"the log of {role} names {len(links)} links; expected at most {LINKS} links")
+        raise ProblemError(f"the log of {role} names {number_of(len(links), 'link')}; expected at most {LINKS} links")
     return found
 
 

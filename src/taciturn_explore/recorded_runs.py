@@ -149,7 +149,9 @@ def of_table(name: str, path: Path, text: str) -> Recording:
         except ValueError:
             values = []
         if len(values) != len(head) or not all(abs(one) <= LARGEST for one in values):
-            raise ProblemError(f"line {number} of {path} is {','.join(row)[:80]!r}; expected {len(head)} numbers")
+            raise ProblemError(
+                f"line {number} of {path} is {','.join(row)[:80]!r}; expected {number_of(len(head), 'number')}"
+            )
         for column, value in zip(columns, values, strict=True):
             column.append(value)
     steps, costs = len(columns[0]), np.array(columns[1])

@@ -103,7 +103,7 @@ def _check_shapes(found: Mapping[str, Any]) -> None:
     }
     wrong = [one for one, shape in expected.items() if found[one].shape != shape]
     if wrong or links != len(found["link"]) or not (1 <= policies <= 2 and runs >= 1 and steps >= 1):
-        raise ValueError(f"the shape of {', '.join(wrong) or 'sent'} is not that in the record of a twin")
+        raise ValueError(f"the shape of {', '.join(wrong) or 'sent'} differs from that in the record of a twin")
     period = found["time"][1] - found["time"][0]
     if not 0 < period < 1e6:
         raise ValueError(f"its steps last {period} s")

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, percent, quoted, read_bytes, why_unreadable
+from taciturn.extend import Array, Displayed, number_of, percent, quoted, read_bytes, why_unreadable
 from taciturn.problem import Problem
 from taciturn_explore.network import histogram
 from taciturn_explore.response import short
@@ -104,7 +104,7 @@ class Recording(Displayed):
         if left_out:
             notes.append(f"the last {STEPS:,} of {self.steps:,} steps are shown")
         if len(shown) > FAULTS:
-            notes.append(f"the first {FAULTS} of {len(shown)} faults are shown")
+            notes.append(f"the first {FAULTS} of {number_of(len(shown), 'fault')} are shown")
         return {
             "name": self.name,
             "verdict": list(self.verdict),

@@ -29,7 +29,7 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 from urllib.parse import parse_qsl, quote, urlencode
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, problem_folders, quoted, read_text
+from taciturn.extend import Displayed, number_of, problem_folders, quoted, read_text
 from taciturn.problem import Problem, load, parse
 from taciturn.problem.read import locate_functions
 from taciturn.problem.settings import parse_settings
@@ -202,7 +202,9 @@ def checked(setting: Setting) -> Setting:
                 f"{', '.join(TABLES)}"
             )
     if len(setting.events) > MOST_EVENTS:
-        raise ProblemError(f"there are {len(setting.events)} events; expected at most {MOST_EVENTS} events")
+        raise ProblemError(
+            f"there are {number_of(len(setting.events), 'event')}; expected at most {MOST_EVENTS} events"
+        )
     return setting
 
 

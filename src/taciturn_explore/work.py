@@ -178,7 +178,7 @@ class _Worker:
                     return
 
     def run(self, job: Job, closed: Callable[[], bool]) -> bool:
-        """Make the process compute the answer to a job; return whether the process can take further jobs."""
+        """Let the worker process answer a job, and return whether this process can take further jobs."""
         self._number += 1
         asked: float | None = None
         try:

@@ -108,8 +108,8 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
         raise ProblemError(
-            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} steps; expected a policy "
-            "that stabilises the loop over this network"
+            f"the loop leaves the range of {loop.precision} after {number_of(int(finite.argmin()), 'step')}; "
+            "expected a policy that stabilises the loop over this network"
         )
     return vector
 

@@ -365,7 +365,7 @@ class CoreSizes(Displayed):
 
     @property
     def suffix(self) -> str:
-        """Suffix of all function names, which stops the linker from mixing files compiled for different sizes."""
+        """Suffix of all function names, so that the linker refuses to mix files compiled for different sizes."""
         precision = "float32" if self.single else "float64"
         return f"{precision}_{self.links}_{self.values}_{self.datagram}_{self.waiting}"
 

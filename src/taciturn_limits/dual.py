@@ -64,7 +64,7 @@ class Martingale:
         self.less = float(np.prod(widths)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Average the function φ, minus its Gaussian part, at the next check over the given noises."""
+        """Return the mean, over the given noises, of the function φ without its Gaussian part at the next check."""
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
@@ -262,7 +262,7 @@ class _Duel:
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> list[_Outcome]:
-        """Simulate a multiple of ``ABREAST`` batches, and return the estimates for each value of g."""
+        """Simulate the batches, ``ABREAST`` at a time, and return the estimates for each gain g."""
         found, rounds = list[tuple[Array, int, int]](), batches // ABREAST
         while len(found) < rounds:
             found.append(self._side_by_side())

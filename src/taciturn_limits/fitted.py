@@ -38,6 +38,7 @@ from taciturn.extend import (
     check_time,
     frozen,
     normal_quantile,
+    number_of,
     radius,
     root,
     sobol,
@@ -261,8 +262,8 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     into = (right[seen] / deviations[seen, None]) / units
     if len(into) > DIRECTIONS:
         raise ProblemError(
-            f"the error has {len(into)} dimensions, but its value function can be fitted in at most {DIRECTIONS}; "
-            "expected a plant with fewer states, or policy 'excess'"
+            f"the error has {number_of(len(into), 'dimension')}, but its value function can be fitted in at most "
+            f"{DIRECTIONS}; expected a plant with fewer states, or policy 'excess'"
         )
     check_time()
     draws = np.random.default_rng(seed)

@@ -97,7 +97,8 @@ def new(
     if questions.patient:
         _evaluate(out)
     typer.echo(
-        f"next: taciturn show {out}\n      taciturn evaluate {out}\n      taciturn tradeoff {out} --plot {out.stem}.svg"
+        f"next, in seconds:  taciturn show {out}\n                   taciturn evaluate {out}\n"
+        f"up to minutes:     taciturn tradeoff {out} --plot {out.stem}.svg"
     )
 
 

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Bits, Progress, Stages, closure, in_notebook, instance
+from taciturn.extend import Array, Bits, Progress, Stages, closure, in_notebook, instance, number_of
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits, Violation, Violations
@@ -273,8 +273,8 @@ class _Search:
         (states,), history, settled = self.sampling.settle(max(paths, _SETTLING), _TO_SETTLE, self._moments)
         if not settled:
             raise ProblemError(
-                f"the loop has not settled within {history.steps} steps, so no stationary distribution of its states "
-                "is known; expected a loop that settles sooner, or a horizon"
+                f"the loop has not settled within {number_of(history.steps, 'step')}, so no stationary distribution "
+                "of its states is known; expected a loop that settles sooner, or a horizon"
             )
         return states[:, :paths]
 
@@ -299,7 +299,8 @@ class _Search:
         grown = np.exp(_GROWN * _QUARTILES / np.sqrt(originals))
         for i in np.flatnonzero(after > grown * np.maximum(before, 1e-300)):
             raise self._wandering(
-                self.limits.names[i], f"its spread grows by a factor of {after[i] / before[i]:.3g} in {steps} steps"
+                self.limits.names[i],
+                f"its spread grows by a factor of {after[i] / before[i]:.3g} in {number_of(steps, 'step')}",
             )
 
     def _wandering(self, name: str, why: str) -> ProblemError:

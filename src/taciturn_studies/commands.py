@@ -33,6 +33,7 @@ from taciturn.cli.frame import (
     refuse,
     save_picture,
 )
+from taciturn.extend import number_of
 
 
 @app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
@@ -88,7 +89,7 @@ def tradeoff(
     if missed:
         values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
         refuse(
-            f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
+            f"the standard error was not reached at {len(missed)} of {number_of(len(found.points), 'point')}, "
             f"first at {values_text}; give a larger --standard-error"
         )
 

@@ -20,7 +20,7 @@ from typing import ClassVar
 
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, number, per_unit
+from taciturn.extend import Displayed, number, number_of, per_unit
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import nodes_of
@@ -111,8 +111,8 @@ class RateGoal(Goal):
         rates = evaluation.rates
         if self.link is None and len(rates) > 1:
             raise ProblemError(
-                f"the policy {evaluation.policy} makes send decisions on {len(rates)} links, but a rate is given "
-                f"without a link; expected one of the links {', '.join(rates)}"
+                f"the policy {evaluation.policy} makes send decisions on {number_of(len(rates), 'link')}, but a rate "
+                f"is given without a link; expected one of the links {', '.join(rates)}"
             )
         return _rate(evaluation, next(iter(rates)) if self.link is None else self.link)
 

@@ -11,9 +11,9 @@ traffic is on the lower convex hull of all timings that were tried.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import permutations
 from typing import Any, ClassVar, Protocol
 
@@ -90,15 +90,30 @@ class Control(Protocol):
 
 
 @dataclass(eq=False)
+class _Costs:
+    """Costs of timings, infinite if unstable, that searches share whose loops are alike at fixed steps."""
+
+    control: Control | None = None  # that of the first of these loops
+    known: dict[Timings, float] = field(default_factory=lambda: {})
+
+
+@lru_cache(maxsize=8)
+def _costs_of(*alike: Hashable) -> _Costs:
+    """Return the costs that are known for loops with this plant, cost, network, controller and behaviour in silence."""
+    return _Costs()
+
+
+@dataclass(eq=False)
 class _Search:
     """The search for the timing of each link."""
 
     control: Control  # the cost of a timing
+    known: dict[Timings, float]  # costs that any search has computed
     sensors: frozenset[str]
     laws: Mapping[str, LinkLaw]
     tick: float  # seconds per step
     progress: Stages  # receives the fraction done
-    found: dict[Timings, float] = field(default_factory=lambda: {})  # cost of each timing that was tried
+    found: dict[Timings, float] = field(default_factory=lambda: {})  # cost of each timing that this search tried
 
     @cached_property
     def links(self) -> list[str]:
@@ -110,13 +125,18 @@ class _Search:
 
     def cost(self, timings: Timings) -> float:
         if timings not in self.found:
-            named = dict(zip(self.links, timings, strict=True))
-            try:
-                self.found[timings] = self.control.cost(named) if self._keeps(named) else float("inf")
-            except UnstableError:
-                self.found[timings] = float("inf")
+            if timings not in self.known:
+                self.known[timings] = self._computed(timings)
+            self.found[timings] = self.known[timings]
             self.progress.tick()
         return self.found[timings]
+
+    def _computed(self, timings: Timings) -> float:
+        named = dict(zip(self.links, timings, strict=True))
+        try:
+            return self.control.cost(named) if self._keeps(named) else float("inf")
+        except UnstableError:
+            return float("inf")
 
     def _keeps(self, timings: Mapping[str, Timing]) -> bool:
         """Return whether timings keep the limits of the intervals between sends."""
@@ -208,8 +228,12 @@ def clocks_of_links(problem: Problem, traffic: float, progress: Progress | None 
     differences = problem.close(policy).violated_assumptions
     if differences:
         raise NoLinkClocksError(f"{OF_A_DESIGN} {differences[0]}")
-    control = _optimal(problem, policy) if problem.controller is None else TimedLinks.of(problem, policy)
-    search = _Search(control, frozenset(network.sensors), network.links, policy.tick, Stages(progress))
+    costs = _costs_of(problem.plant, problem.cost, network, problem.reference, policy.tick, *_timed_alike(problem))
+    if costs.control is None:
+        costs.control = _optimal(problem, policy) if problem.controller is None else TimedLinks.of(problem, policy)
+    search = _Search(
+        costs.control, costs.known, frozenset(network.sensors), network.links, policy.tick, Stages(progress)
+    )
     search.begin()
     for part, around in enumerate(AROUND):
         search.progress = Stages(progress, part / len(AROUND), (part + 1) / len(AROUND))
@@ -286,10 +310,10 @@ def clocks_or_reason(problems: Sequence[Problem], traffic: float) -> LinkClocks 
     return min(found, key=lambda one: one.cost) if found else reasons[0]
 
 
-def _timed_alike(problem: Problem) -> tuple[object, ...]:
-    """Return the data on which the cost at given times depends, for problems with a controller."""
+def _timed_alike(problem: Problem) -> tuple[Hashable, ...]:
+    """Return the data on which the cost at given times depends, for problems of one plant, cost and network."""
     policy = problem.designed()
-    return id(problem.controller), modes_of(problem), isinstance(policy, Policy) and _by_function(policy)
+    return problem.controller, modes_of(problem), isinstance(policy, Policy) and _by_function(policy)
 
 
 def clocks_document(clocks: LinkClocks | str) -> dict[str, Any]:

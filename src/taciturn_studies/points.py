@@ -24,6 +24,7 @@ from taciturn.extend import (
     expect_unmasked,
     instance,
     number,
+    number_of,
     quoted,
     seconds_left,
 )
@@ -231,7 +232,7 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
         refuse_other_versions(executor, workers, error)
         why = ": ".join(filter(None, (type(error).__name__, str(error))))
         raise ProblemError(
-            f"the executor failed after {came} of {total} cells ({why}); "
+            f"the executor failed after {came} of {number_of(total, 'cell')} ({why}); "
             "expected workers that stay alive and can import taciturn, and a running scheduler if one is used; with a "
             "store, run again to continue"
         ) from error

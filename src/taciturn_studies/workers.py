@@ -35,6 +35,7 @@ from taciturn.extend import (
     at_once,
     check_time,
     deferred,
+    number_of,
     prefer_one_thread,
     seconds_left,
 )
@@ -103,8 +104,8 @@ def answer_all(
             progress((k + 1) / len(jobs))
     except BrokenExecutor as error:
         raise ProblemError(
-            f"the executor failed after {len(found)} of {len(jobs)} results ({error}); expected workers that stay "
-            "alive and can import taciturn: use fewer workers, or none"
+            f"the executor failed after {len(found)} of {number_of(len(jobs), 'result')} ({error}); expected workers "
+            "that stay alive and can import taciturn: use fewer workers, or none"
         ) from error
     except Exception as error:
         if executor is not None and not isinstance(error, TaciturnError | NoTimeLeft):

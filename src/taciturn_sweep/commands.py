@@ -29,6 +29,7 @@ from taciturn.cli.frame import (
     refuse,
     save_picture,
 )
+from taciturn.extend import number_of
 
 if TYPE_CHECKING:
     import xarray
@@ -130,7 +131,7 @@ def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
         for cell in cells[:3]
     ]
     listed = "; ".join([*shown, f"and {len(cells) - 3} more"] if len(cells) > 3 else shown)
-    count = f"{len(cells)} of {missed.size} cells"
+    count = f"{len(cells)} of {number_of(missed.size, 'cell')}"
     if steps is not None:
         return f"the loop has not settled in {count} within {steps} steps: {listed}; give more --steps"
     return (

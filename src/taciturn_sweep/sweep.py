@@ -31,6 +31,7 @@ from taciturn.extend import (
     answered_within,
     draw,
     in_notebook,
+    number_of,
     table_text,
 )
 from taciturn.model.estimate import Estimate
@@ -276,7 +277,8 @@ class _Table:
             return
         first = min(self.refused)
         where = ", ".join(f"{name}={value}" for name, value in cells[first].values.items())
-        sentence = f"{len(self.refused)} of {len(cells)} cells have no answer, first at {where}: {self.refusals[first]}"
+        missing = f"no answer in {len(self.refused)} of {number_of(len(cells), 'cell')}"
+        sentence = f"{missing}, first at {where}: {self.refusals[first]}"
         if len(self.refused) == len(cells):
             raise ProblemError(sentence)
         warnings.warn(sentence, stacklevel=3)
@@ -334,7 +336,7 @@ class SweepTable(Tabular):
     def omitted(self) -> str:
         """Sentence that says how many grid cells the text leaves out."""
         left = self.result.refusal.size - FIRST - LAST
-        return f"{left} cells are omitted; the result and --table contain all of them" if left > 0 else ""
+        return f"without {number_of(left, 'cell')}, which the result and --table contain" if left > 0 else ""
 
     def table_texts(self) -> Sequence[str]:
         """Return a table of values, cost and rates for the first and the last cells of the grid."""
@@ -459,7 +461,8 @@ def _verdict(found: xarray.Dataset) -> Iterator[str]:
         for word, cell in zip(("least", "largest"), cells, strict=False)
     ]
     yield "; ".join(told) or "no cost, since every cell was refused"
-    yield f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"
+    size = found.refusal.size
+    yield f"{number_of(size, 'cell')} over {grid}: {size - refused} evaluated, {refused} refused"
 
 
 def _cost(cell: Any) -> str:

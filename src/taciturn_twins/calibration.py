@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, array, least_squares, number
+from taciturn.extend import Array, array, least_squares, number, number_of
 from taciturn.model.result import Result
 from taciturn_twins._cv2 import (
     Board,
@@ -159,7 +159,8 @@ def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
     optics.painter.close()
     if len(points) < VIEWS:
         raise ProblemError(
-            f"the calibration board was found in {len(points)} pictures; expected {VIEWS} pictures: check the lighting"
+            f"the calibration board was found in {number_of(len(points), 'picture')}; expected {VIEWS} pictures: "
+            "check the lighting"
         )
     K, distortion, _ = calibrate_lens(points, seen, WIDTH, HEIGHT)
     return K, distortion
@@ -181,7 +182,9 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
     found = find_tags(picture)
     missing = [tag.number for tag in tags if tag.number not in found]
     if missing:
-        raise ProblemError(f"the camera does not see the tags {missing}; expected all {len(tags)} tags: clear the view")
+        raise ProblemError(
+            f"the camera does not see the tags {missing}; expected all {number_of(len(tags), 'tag')}: clear the view"
+        )
     points, seen = np.concatenate([t.corners for t in tags]), np.concatenate([found[t.number] for t in tags])
     rotation, translation = solve_pose(points, seen, K, distortion)
     off = project(points, rotation, translation, K, distortion) - seen

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import read_text, write_whole
+from taciturn.extend import number_of, read_text, write_whole
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.nodes.keys import Keys
@@ -74,8 +74,8 @@ def wire_of_pictures(
     measured, outputs = len(eye.robot.states), policy.model.outputs
     if measured != outputs:
         raise ProblemError(
-            f"the calibration is for the {eye.robot.name}, whose camera measures {measured} numbers; expected "
-            f"{outputs} numbers, as for the policy"
+            f"the calibration is for the {eye.robot.name}, whose camera measures {number_of(measured, 'number')}; "
+            f"expected {number_of(outputs, 'number')}, as for the policy"
         )
     with logged(seen) as told:
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed
+from taciturn.extend import Displayed, number_of
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,7 +112,7 @@ def window(faults: Sequence[Fault], name: str, tick: float) -> tuple[int, int] |
     """
     found = [fault for fault in faults if fault.name == name]
     if len(found) > 1:
-        raise ProblemError(f"the fault {name} is given {len(found)} times; expected it at most once")
+        raise ProblemError(f"the fault {name} is given {number_of(len(found), 'time')}; expected it at most once")
     return found[0].ticks(tick) if found else None
 
 

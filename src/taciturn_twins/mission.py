@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, number
+from taciturn.extend import Displayed, number, number_of
 from taciturn.model.packets import roles
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
@@ -145,11 +145,12 @@ def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
         raise ProblemError(
             f"the plant of {name} is continuous in time; expected dt = {robot.tick:g}, as for the robot {robot.name}"
         )
-    found = f"{plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs and dt = {plant.dt}"
+    sizes = zip((plant.states, plant.inputs, plant.outputs), ("state", "input", "output"), strict=True)
+    found = f"{', '.join(number_of(*size) for size in sizes)} and dt = {plant.dt}"
     if (plant.states, plant.inputs, plant.outputs, plant.dt) != (n, m, n, robot.tick):
         raise ProblemError(
-            f"the plant of {name} is not that of the robot {robot.name}: it has {found}; expected {n} states, {m} "
-            f"inputs, {n} outputs and dt = {robot.tick:g}"
+            f"the plant of {name} is not that of the robot {robot.name}: it has {found}; expected "
+            f"{number_of(n, 'state')}, {number_of(m, 'input')}, {number_of(n, 'output')} and dt = {robot.tick:g}"
         )
     if not np.array_equal(plant.C, np.eye(n)):
         raise ProblemError(

@@ -15,7 +15,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, choice, count, number
+from taciturn.extend import Displayed, choice, count, number, number_of
 from taciturn_udp.endpoint import Address
 from taciturn_web.events import Log, encode
 from taciturn_web.guard import guarded, hosts_of, new_token, read_json
@@ -89,20 +89,22 @@ class About(Displayed):
             number("bound", self.bound)
         if len(self.losses) != len(self.links):
             raise ProblemError(
-                f"'losses' has {len(self.losses)} numbers; expected one number for each of the links {self.links}"
+                f"'losses' has {number_of(len(self.losses), 'number')}; expected one number for each of the links "
+                f"{self.links}"
             )
         for link, loss in zip(self.links, self.losses, strict=True):
             number(f"the loss of the {link} link", loss, 0.0, 1.0, closed=True)
         needed = 2 if self.robot == "omni" else 1
         if len(self.states) < needed:
             raise ProblemError(
-                f"'states' has {len(self.states)} names; expected at least {needed} for the robot {self.robot!r}"
+                f"'states' has {number_of(len(self.states), 'name')}; expected at least {needed} for the robot "
+                f"{self.robot!r}"
             )
         for state in self.reference:
             if not needed <= len(state) <= len(self.states):
                 raise ProblemError(
-                    f"'reference' contains a state of {len(state)} numbers; expected {needed} to {len(self.states)} "
-                    "numbers"
+                    f"'reference' contains a state of {number_of(len(state), 'number')}; expected {needed} to "
+                    f"{number_of(len(self.states), 'number')}"
                 )
 
 
@@ -289,8 +291,8 @@ def _check_size(key: str, values: Any, names: tuple[str, ...]) -> None:
     """Reject a vector of the wrong size."""
     if len(values) != len(names):
         raise ProblemError(
-            f"the entry {key} of the row of a step has {len(values)} numbers; expected {len(names)} numbers: "
-            f"{', '.join(names)}"
+            f"the entry {key} of the row of a step has {number_of(len(values), 'number')}; expected "
+            f"{number_of(len(names), 'number')}: {', '.join(names)}"
         )
 
 

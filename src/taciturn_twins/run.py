@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Progress, Size, StyleName, percent
+from taciturn.extend import Progress, Size, StyleName, number_of, percent
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.model.result import SPLICED, VERDICT, Field, Result
@@ -46,7 +46,7 @@ def _compared(run: TwinRun) -> str:
 
 def _driven(run: TwinRun) -> str:
     robot, (runs, steps) = run.prepared.robot, run.trial.costs.shape
-    return f"{robot.name}, {runs} x {steps} steps of {robot.tick:g} s in {run.seconds:.1f} s"
+    return f"{robot.name}, {runs} x {number_of(steps, 'step')} of {robot.tick:g} s in {run.seconds:.1f} s"
 
 
 def _modelled(run: TwinRun) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, Progress, choice, count, number, temporary_folder
+from taciturn.extend import Displayed, Progress, choice, count, number, number_of, temporary_folder
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.packet import Wire
 from taciturn.problem import Problem
@@ -79,7 +79,9 @@ class Setup(Displayed):
                 )
             if fault.name == "kidnap" and len(fault.size) > len(robot.states):
                 most = len(robot.states)
-                raise ProblemError(f"the fault {fault} has {len(fault.size)} numbers; expected at most {most}")
+                raise ProblemError(
+                    f"the fault {fault} has {number_of(len(fault.size), 'number')}; expected at most {most}"
+                )
         number("the gain of the motors", self.gain, -1.0, 1.0)
 
     @property

@@ -68,7 +68,10 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
     kept = costs[skipped:]
     _, once, why = piece_of(loop)
     needed = skipped + least_steps(loop)
-    short = f"{len(costs)} steps are too few for a mean cost with its error; expected at least {needed}"
+    short = (
+        f"a run of {number_of(len(costs), 'step')} is too short for a mean cost with its error; expected at least "
+        f"{needed}"
+    )
     if len(kept) < FEWEST * BATCHES:
         return None, (short,)
     if len(kept) < least_steps(loop):

@@ -96,7 +96,7 @@ def read_outage(text: str | None) -> tuple[int, int] | None:
 
 
 def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Raise an error if a count is below 1, or if a packet cannot number so many loops."""
+    """Raise an error if a count is below 1, or if there are more loops than the field of a packet can number."""
     from taciturn.extend import count, number
 
     for name, value in counts.items():

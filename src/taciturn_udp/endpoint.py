@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from taciturn.errors import ProblemError
+from taciturn.extend import number_of
 
 Address: TypeAlias = tuple[str, int]
 LARGEST, LARGEST_OF_ALL = 4096, 65535  # largest datagram in bytes: by default (packets are shorter), and possible
@@ -72,7 +73,7 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
     if not isinstance(given, Mapping):
         if len(links) > 1:
             raise ProblemError(
-                f"--peer gives only one address, but {name} sends on {len(links)} links; expected "
+                f"--peer gives only one address, but {name} sends on {number_of(len(links), 'link')}; expected "
                 f"{', '.join(f'{link}=HOST:PORT' for link in links)}"
             )
         return {} if given is None else dict.fromkeys(links, given)

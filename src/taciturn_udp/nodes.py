@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.errors import ProblemError
+from taciturn.extend import number_of
 from taciturn.model.packets import plant_link
 from taciturn.model.wire import EITHER, LARGEST
 from taciturn.nodes.clock import JUMPED, LATE, Phase
@@ -369,7 +370,8 @@ class NodeServer:
         found = ", ".join(f"{number} {name}" for name, number in news.items()) or "none"
         steps = min(node.limits.get(link, node.watchdog or 0) for link in silent)
         self._say(
-            f"the {node.role} has received no usable packet on the link {' and '.join(silent)} for {steps} steps and "
+            f"the {node.role} has received no usable packet on the link {' and '.join(silent)} for "
+            f"{number_of(steps, 'step')} and "
             f"is degraded (packets discarded since the start or the last such message: {found}); expected a packet or "
             "a mark in that time: is the sender running, and is the link intact?"
         )

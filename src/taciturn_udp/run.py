@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Progress, count, in_notebook, instance, temporary_folder
+from taciturn.extend import Progress, count, in_notebook, instance, number_of, temporary_folder
 from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
@@ -212,7 +212,7 @@ def _unheard(loop: Loop, datagrams: Mapping[str, Mapping[str, int]]) -> tuple[st
 def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
     """Return a warning for each link on which the number of dropped packets differs from the prediction."""
     return tuple(
-        f"the {link} link dropped {counted['lost']} packets, but {counted['predicted']} were predicted"
+        f"the {link} link dropped {number_of(counted['lost'], 'packet')} instead of {counted['predicted']} as predicted"
         for link, counted in datagrams.items()
         if counted.get("predicted", counted["lost"]) != counted["lost"]
     )

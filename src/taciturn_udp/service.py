@@ -104,7 +104,7 @@ class FileStorage:
 
 
 def usual_wait(policy: Policy, role: str) -> float:
-    """Return how long a node waits for packets, as a fraction of a step; the controller waits for a shorter time."""
+    """Return how long a node waits for packets, as a fraction of a step; the controller waits less than the others."""
     return WAIT[role != policy.network.controller]
 
 

@@ -11,6 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from taciturn.extend import number_of
 from taciturn.model.packets import PlantLink, plant_link, sender_of
 from taciturn.model.wire import PROOFS
 from taciturn.nodes.clock import JUMPED
@@ -178,7 +179,7 @@ class Monitor:
                 self.fail(
                     MARKS,
                     f"the {role} sends a mark in step {packet.tick}, but a packet in step {last}; expected a mark "
-                    f"after {self._heartbeat} steps without a packet",
+                    f"after {number_of(self._heartbeat, 'step')} without a packet",
                 )
             self._last[role, packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
 

@@ -635,8 +635,8 @@ def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
     loop = problem.close(problem.design())
     if loop.horizon is not None:
         raise ProblemError(
-            f"the policy {loop.policy.kind} is for a horizon of {loop.horizon} steps, but a world of faults lasts "
-            "until the nodes have recovered; expected a policy without horizon"
+            f"the policy {loop.policy.kind} is for a horizon of {number_of(loop.horizon, 'step')}, but a world of "
+            "faults lasts until the nodes have recovered; expected a policy without horizon"
         )
     quiet = World(loop, 0, (), {}, keyed=False)
     broken = quiet.run_for(200)

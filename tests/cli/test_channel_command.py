@@ -64,10 +64,10 @@ def test_loops_of_two_periods_share_their_common_tick(run: Run, tmp_path: Path) 
         (["--copies", "20", "--capacity", "0"], "capacity is 0; expected"),
         (
             ["--copies", "20", "--capacity", "21"],
-            "capacity is 21, but only 20 loops share the channel; expected at most 20",
+            "capacity is 21, but the channel has only 20 loops; expected at most 20",
         ),
         (["--copies", "0", "--capacity", "1"], "copies is 0"),
-        (["--copies", "2,3", "--capacity", "1"], "copies has 2 numbers for 1 problems"),
+        (["--copies", "2,3", "--capacity", "1"], "copies has 2 numbers for 1 problem"),
         (["--copies", "many", "--capacity", "1"], "--copies is 'many'"),
         (["--copies", "20", "--capacity", "4", "--scheduler", "prize"], "scheduler is 'prize'; expected"),
         (["--copies", "20", "--capacity", "4", "--steps", "3"], "--steps is 3"),

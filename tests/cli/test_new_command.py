@@ -33,8 +33,8 @@ def test_answers_become_a_file_that_evaluate_runs(ask: Ask, run: Run) -> None:
     told = ask((*WALK, "[0 0; 0 2.5]", "", "", "[10]", "", "1", "", ""))
     assert told.code == 0
     assert told.out.endswith(
-        "written: new.toml\nnext: taciturn show new.toml\n      taciturn evaluate new.toml\n"
-        "      taciturn tradeoff new.toml --plot new.svg\n"
+        "written: new.toml\nnext, in seconds:  taciturn show new.toml\n                   taciturn evaluate new.toml\n"
+        "up to minutes:     taciturn tradeoff new.toml --plot new.svg\n"
     )
     text = Path("new.toml").read_text(encoding="utf-8")
     assert tomllib.loads(text) == {

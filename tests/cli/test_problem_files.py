@@ -333,7 +333,7 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
         (continuous(JUMPS), "W and jumps are both given; expected one kind of noise: remove one"),
         (actual(dt=""), "plant.actual.dt is missing, but plant.dt is 1 s; expected the same time step in both"),
         (actual(dt="0.5"), "plant.actual.dt is 0.5 s, but plant.dt is 1 s; expected the same time step in both"),
-        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1 inputs, as in [plant]"),
+        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1 input, as in [plant]"),
         (actual(W="[[-1]]"), "[plant.actual]: W has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[-1]]\nR = [[1]]"}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[1]]\nR = [[-1]]"}, "R has the eigenvalue -1; expected a positive semidefinite matrix"),

@@ -215,7 +215,7 @@ def test_missions_links_and_tables_are_told(run: Run) -> None:
     shown = run("show", "rover").out
     rover = rows(shown)
     assert rover["cost"] == "a finite-horizon run of 60 steps of x'Qx + u'Ru per step"
-    assert "input = + L × estimate; L:\n               selected by clock, 60 matrices; the first:" in shown
+    assert "input = + L × estimate; L:\n               the first of 60, selected by clock:" in shown
     assert rover["link, sensor"].startswith("measurement y; sends at 11 of the first 59 steps")
     lossy = rows(run("show", "lossy-double-integrator").out)
     assert lossy["network"] == "udp (no acknowledgement); sensor drops 60 %, actuator drops 30 %"

@@ -9,7 +9,8 @@ import pytest
 import xarray
 from cli.conftest import Run, Write
 
-from taciturn.cli.frame import progress_bar
+from taciturn.cli import frame
+from taciturn.cli.frame import left_text, progress_bar
 from taciturn.simulation import sampling
 from taciturn_sweep.sweep import SweepTable
 
@@ -72,7 +73,7 @@ def test_a_summary_fits_80_columns() -> None:
     assert max(map(len, lines)) <= 80
     told = SweepTable(found).verdict
     assert told[0].startswith("least cost 0.7405479 ± 0.0000056 at theta = 0.05, cost.R = [[0.1, 0.0], [0.0, 0.1]]")
-    assert told[1] == "1 cells over theta (1) × cost.R (1): 1 evaluated, 0 refused"
+    assert told[1] == "1 cell over theta (1) × cost.R (1): 1 evaluated, 0 refused"
     assert lines[-1].endswith("[[0.1, 0.0], [0.0, 0.1]]  0.7405479 ± 0.0000056")
 
 
@@ -86,3 +87,19 @@ def test_the_bar_counts_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     with progress_bar("sweeping", 40) as progress:
         progress(23.5 / 40)
     assert "sweeping 23/40 cells" in terminal.getvalue()
+
+
+def test_the_bar_tells_how_long_the_rest_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long in proportion as what is done has taken; not in the first seconds, which say nothing yet."""
+    assert [left_text(*one) for one in ((1.0, 0.5), (30.0, 0.0))] == ["", ""]
+    assert left_text(30.0, 0.75) == "about 10 s left"
+    assert left_text(60.0, 0.2) == "about 4 min left"
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr(frame, "SOON", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with progress_bar("computing") as progress:
+        progress(0.5)
+    assert "about 1 s left" in terminal.getvalue()

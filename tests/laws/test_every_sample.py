@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from measured import agree_together, average
 from systems import make_system, well_posed
 
 import taciturn
-from taciturn import PID, Cost, Disturbance, Loop, Network, Plant, Policy, close, design
+from taciturn import PID, Controller, Cost, Disturbance, Estimate, Loop, Network, Plant, Policy, close, design
 from taciturn.analyse.every_sample import with_every_sample
 from taciturn.base.given_controller import lqg_observer
 from taciturn.lqg.discrete import discretise
+from taciturn.model.network import NodeRole
 from taciturn.simulation import sampling
 from taciturn.simulation.average import difference_to_every_sample, plain_average
 
@@ -167,7 +169,55 @@ def test_the_plain_average_is_used_where_it_needs_less_work() -> None:
     assert (found.cost, found.rates) == (plain.cost, plain.rates)
 
 
-def test_a_loop_in_which_a_link_never_sends_has_not_settled() -> None:
+ROLES = {
+    "s1": NodeRole(measures=(0,)),
+    "s2": NodeRole(measures=(1,)),
+    "plc": NodeRole(controls=True),
+    "v1": NodeRole(applies=(0,)),
+}
+
+
+@pytest.mark.parametrize("growth", [0.95, 1.05])
+def test_a_link_whose_command_is_always_zero_has_the_rate_zero(growth: float) -> None:
+    """The loop costs as much as the one without this link, also if the plant is unstable in open loop."""
+    plant = Plant([[growth, 0.1], [0, 0.9]], np.eye(2), np.diag([0.2, 0.1]), np.eye(2), 0.05 * np.eye(2), dt=1.0)
+    cost = Cost(np.eye(2), np.eye(2))
+    kept = Controller(
+        [[0.0]], np.zeros((1, 2)), np.zeros((2, 1)), np.diag([-0.4, 0.0]), disturbance=Disturbance(deviation=0.0)
+    )
+    roles = {**ROLES, "v2": NodeRole(applies=(1,))}, {**ROLES, "v2": NodeRole(applies=(1,), site="plc")}
+    found, without = (
+        average(
+            close(
+                plant,
+                design.send_on_delta(plant, cost, delta=0.6, controller=kept, network=Network(nodes=nodes)),
+            ),
+            steps=400_000,
+        )
+        for nodes in roles
+    )
+    assert found.settled
+    assert found.rates["v2"] == Estimate(0.0, 0.0, "exact")
+    assert found.notes == ("after the start, nothing is ever sent on the v2 link, whatever the noise is",)
+    assert min(found.rates[link].value for link in ("s1", "s2", "v1")) > 0.01
+    assert found.cost.value == pytest.approx(without.cost.value, rel=1e-9)
+    assert {**found.rates, "v2": None} == {**without.rates, "v2": None}
+
+
+@pytest.mark.parametrize(
+    "kind", [partial(design.send_on_delta, delta=0.5, link="actuator"), partial(design.distributed, theta=0.5)]
+)
+def test_silence_costs_what_it_costs_in_open_loop_if_nothing_can_be_sent(kind: Callable[..., Policy]) -> None:
+    """A controller whose command is 0 leaves the plant alone: J = q W / (1 − a²)."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[1.0]], dt=1.0), Cost([[1.0]], [[1.0]])
+    kept = Controller([[0.0]], [[0.0]], [[0.0]], disturbance=Disturbance(deviation=0.0))
+    found = average(close(plant, kind(plant, cost, controller=kept)), steps=100_000)
+    assert found.settled
+    assert found.rates == {link: Estimate(0.0, 0.0, "exact") for link in found.rates}
+    assert found.cost.value == pytest.approx(1 / (1 - 0.9**2), rel=1e-9)
+
+
+def test_a_loop_in_which_a_link_has_not_sent_yet_has_not_settled() -> None:
     """After a packet, which is rare, a PI controller sends for long; a run of 1e9 steps has a packet in 200 steps."""
     plant, cost = Plant([[0.97]], [[0.05]], [[1e-4]], C=[[1.0]], V=[[1e-4]], dt=1.0), Cost([[1.0]], [[0.1]])
     loop = close(plant, design.distributed(plant, cost, theta=300.0, controller=PID(2.0, 0.05)))

@@ -13,7 +13,7 @@ from taciturn.problem import Problem, parse
 from taciturn.program.ops import Sent
 from taciturn.simulation.average import average, plain_average
 from taciturn.simulation.reliability import drifts_of
-from taciturn.simulation.sampling import History, Part, Sampling, Snapshots
+from taciturn.simulation.sampling import History, Part, Sampling, Snapshots, paths_of
 from taciturn_rare.violations import violations
 
 TANK = """
@@ -225,6 +225,18 @@ def test_the_standard_error_of_a_rate_includes_what_is_left_of_the_transient(see
     loop = problem.close(problem.design())
     found = [average(loop, seed=seed, standard_error=2.8e-8).rates["actuator"] for seed in range(14, 14 + seeds)]
     assert all(abs(one.value - 0.006350) <= 5 * np.hypot(one.standard_error, 0.000003) for one in found)
+
+
+def test_a_long_burn_in_has_fewer_paths() -> None:
+    """So that it takes no more steps of all paths together; over lossy links, many paths show heavy tails."""
+    problem = tank(2.0, 0.3)
+    loop = problem.close(problem.design())
+    assert [paths_of(loop, steps) for steps in (512, 12_000, 10**6)] == [4096, 696, 512]
+    found = average(loop)
+    assert 0 < found.burn_in * paths_of(loop, found.burn_in) <= 2**23
+    assert found.reached
+    lossy = taciturn.load("lossy-integrator")
+    assert paths_of(lossy.close(lossy.design()), 12_000) == 4096
 
 
 def test_ordinary_loops_settle_within_the_time_constants_of_their_design() -> None:

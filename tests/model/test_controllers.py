@@ -175,7 +175,7 @@ def test_a_problem_file_states_the_disturbance(tmp_path: Path) -> None:
         ("pid = {kp = 1.2, kf = 1.0}", "controller.pid.kf is not a known key"),
         ('D = [[1.2]]\nsign = "minus"', "controller.sign is 'minus'; expected 'negative' or 'positive'"),
         ('D = [[1.2]]\ndisturbance = "some"', "controller.disturbance is 'some'; expected a table or 'none'"),
-        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1 measurements, to match the plant"),
+        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1 measurement, as of the plant"),
         ("A = [[0.5, 0.0]]\nB = [[1.0]]\nC = [[1.0]]", "controller.A has shape (1, 2); expected a square matrix"),
     ],
 )
@@ -217,7 +217,7 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
         ),
         (
             lambda: design.excess(TANK, WEIGHTS, theta=1, controller=replace(KEPT, disturbance=Disturbance(9, [1, 1]))),
-            "disturbance.deviation has 2 entries; expected 1 entries, one for each input",
+            "disturbance.deviation has 2 entries; expected 1 entry, one for each input",
         ),
         (
             lambda: design.excess(

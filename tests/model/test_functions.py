@@ -68,9 +68,9 @@ def test_what_is_no_function_is_refused(make_step: Callable[[], object], message
 
 @pytest.mark.parametrize(("steps", "message"), [
     ((Apply("controller", {"command": 1}, bent, ("z",)), INPUT), "the signal 'z' is never assigned"),
-    ((BEND, Apply("controller", {"command": 2}, bent, ("y",)), INPUT), "command has 1 entries in one step and 2 in"),
+    ((BEND, Apply("controller", {"command": 2}, bent, ("y",)), INPUT), "command has 1 entry in one step and 2 in"),
     ((Apply("controller", {"one": 1}, bent, ("y",)), INPUT), "a policy step assigns 'one', but this name denotes the"),
-    ((Apply("actuator", {"input": 2}, bent, ("input",)),), "input has 2 entries; expected a signal with 1 entries"),
+    ((Apply("actuator", {"input": 2}, bent, ("input",)),), "input has 2 entries; expected a signal with 1 entry"),
 ])  # fmt: skip
 def test_a_function_that_does_not_fit_is_refused(steps: tuple[Step, ...], message: str) -> None:
     """As a linear step is."""

@@ -118,7 +118,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"covariance": -np.eye(2)}, "initial.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
     ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,), but the plant has one input; expected the shape (1,)"),
     ({"input_limit": [0.0]}, "input_limit is 0; expected positive limits (omit it for no limit)"),
-    ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1 entries, one for each input"),
+    ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1 entry, one for each input"),
     (
         {"input_limit": [[1.0, 1.0]]},
         "input_limit[0] is [1.0, 1.0]; expected a positive number, or [low, high] with low < high",

@@ -87,17 +87,17 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         STEPS[:3],
         {},
-        "the signal input is never assigned; expected a signal with 1 entries that is assigned at the node",
+        "the signal input is never assigned; expected a signal with 1 entry that is assigned at the node",
     ),
     (
         (Assign("actuator", "input", {"y": np.eye(2)}),),
         {},
-        "the signal input has 2 entries; expected a signal with 1 entries that is assigned at the node",
+        "the signal input has 2 entries; expected a signal with 1 entry that is assigned at the node",
     ),
     (
         (COMMAND, Assign("controller", "command", {"y": np.eye(2)}), *STEPS[1:]),
         {},
-        "the signal command has 1 entries in one step and 2 in another; expected equal sizes",
+        "the signal command has 1 entry in one step and 2 in another; expected equal sizes",
     ),
     (
         (COMMAND, Decide("controller", "send", Trigger({"a": Form(("y",), ONE), "b": Form()})), SEND, INPUT),
@@ -201,7 +201,7 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (
             lambda: Assign("controller", "u", {"y": L}, Received("sensor")),
-            "the step that computes u has 1 branches and the condition Received(link='sensor'); expected one branch",
+            "the step that computes u has 1 branch and the condition Received(link='sensor'); expected one branch",
         ),
         (
             lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}),
@@ -225,7 +225,7 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (
             lambda: Evaluate("controller", "s", (Form(),), "send"),
-            "the step that computes s has 1 forms and the condition send; expected one form without a",
+            "the step that computes s has 1 form and the condition send; expected one form without a",
         ),
         (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),

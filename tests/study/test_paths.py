@@ -290,7 +290,7 @@ def test_names_of_signals_have_their_units_in_the_figure() -> None:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ({"outputs": ["level"]}, "names.outputs has 1 entries; expected 2 entries, one for each of the outputs"),
+        ({"outputs": ["level"]}, "names.outputs has 1 entry; expected 2 entries, one for each of the outputs"),
         ({"inputs": ["", "pump"]}, "names.inputs.0. is ''; expected 1 to 40 characters, such as 'level .cm.'"),
         ({"states": ["level"]}, "names.states is not a known key; expected one of outputs, inputs"),
     ],

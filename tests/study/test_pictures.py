@@ -60,8 +60,14 @@ WITHOUT = {
     "Fmu": "a file",
     "CFolder": "files",
 }
+ROOT = Path(__file__).parents[2]
 MASSES = taciturn.load("two-mass")
 LOOSE = 1e-2
+
+
+def one_path(problem: taciturn.Problem) -> Any:
+    """Return a path of a problem."""
+    return taciturn.simulate(problem.close(problem.design()), 80)
 
 
 def two_paths(one: taciturn.Problem, other: taciturn.Problem) -> Any:
@@ -126,6 +132,8 @@ MADE: dict[str, Callable[[], Any]] = {
         taciturn.sweep(MASSES, {"theta": [0.01, 0.2], "actuation": ["model", "hold"]}, standard_error=LOOSE)
     ),
     "certificates": lambda: taciturn.certify(taciturn.load("two-mass-lqg")),
+    "path": lambda: one_path(MASSES),
+    "path within limits": lambda: one_path(taciturn.load(ROOT / "docs" / "limited-tank.toml")),
     "path of banks": lambda: taciturn.simulate(build("two valves"), 80),
     "paths of one kind": lambda: two_paths(MASSES, MASSES.changed({"theta": 1.0})),
     "violations": violations,

@@ -86,9 +86,9 @@ def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.Lo
         "they stay in the store, unused"
     )
     assert caplog.messages == [
-        f"2 of 4 cells are read from {tmp_path}; 4 {others}",
-        f"0 of 2 cells are read from {tmp_path}; 8 {others}",
-        f"1 of 1 cells are read from {tmp_path / 'alone'}",
+        f"2 of 4 cells: read from {tmp_path}; 4 {others}",
+        f"0 of 2 cells: read from {tmp_path}; 8 {others}",
+        f"1 of 1 cell: read from {tmp_path / 'alone'}",
     ]
 
 

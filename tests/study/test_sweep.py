@@ -152,12 +152,12 @@ def test_two_ranks_of_mpi_give_the_same_bits(whole: xarray.Dataset, tmp_path: Pa
 
 def test_what_cannot_be_answered_is_told_and_the_rest_is_there() -> None:
     """A threshold below zero, at the end of an axis or within: a warning, its cells missing, its reason kept."""
-    with pytest.warns(UserWarning, match=r"^1 of 2 cells have no answer, first at theta=-2: the changed problem"):
+    with pytest.warns(UserWarning, match=r"^no answer in 1 of 2 cells, first at theta=-2: the changed problem"):
         assert np.isnan(sweep(MASSES, {"theta": [0.1, -2]}, standard_error=EFFORT).cost.values).tolist() == [
             False,
             True,
         ]
-    with pytest.warns(UserWarning, match=r"^2 of 6 cells have no answer, first at theta=-1, actuation=hold: "):
+    with pytest.warns(UserWarning, match=r"^no answer in 2 of 6 cells, first at theta=-1, actuation=hold: "):
         found = sweep(MASSES, {**GRID, "theta": [0.1, -1, 3.0]}, standard_error=EFFORT)
     assert ": policy.theta is -1; expected" in found.refusal.sel(theta=-1, actuation="model").item()
     missing = np.isnan(found.cost.values)

@@ -73,7 +73,7 @@ def test_a_short_run_has_a_mean_alone() -> None:
     """Over all its steps, and it says how many an error takes; a run of no step has none."""
     found = plant_cost(PROBLEM, LOOP, [[1.0, 2.0, 6.0]], 0.0)
     assert found["cost"] == {"value": 3.0, "standard_error": None, "method": "simulation"}
-    assert found["notes"][0].startswith("3 steps are too few for a mean cost with its error")
+    assert found["notes"][0].startswith("a run of 3 steps is too short for a mean cost with its error")
     assert plant_cost(PROBLEM, LOOP, [[], []], 0.0)["cost"] is None
 
 

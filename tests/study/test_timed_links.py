@@ -221,6 +221,16 @@ def test_the_timings_found_are_the_best_of_all_periods_and_phases(price: float) 
         assert spent == pytest.approx(traffic, rel=1e-9)
 
 
+def test_searches_share_the_costs_of_loops_that_are_alike_at_fixed_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy that allows more silence is compared with the same periodic control; another cost is not."""
+    problem = tank()
+    first = clocks_of_links(problem, 0.7)
+    monkeypatch.setattr(TimedLinks, "cost", lambda *_: pytest.fail("a known cost is computed once more"))
+    assert clocks_of_links(problem.changed({"theta": 0.3}), 0.7) == first
+    monkeypatch.setattr(TimedLinks, "cost", lambda *_: 1.0)
+    assert clocks_of_links(replace(problem, cost=taciturn.Cost(COST.Q, COST.R)), 0.7).cost == 1.0
+
+
 def test_timings_keep_the_limits_of_intervals() -> None:
     """Without the limits, both links would share the traffic; a traffic below the limits is refused."""
     links = {"level": LinkLaw(max_interval=2), "valve": LinkLaw(min_interval=3)}

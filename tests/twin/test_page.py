@@ -162,7 +162,7 @@ def test_what_is_vendored_is_what_the_list_says() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"state": [1.0, 2.0]}, r"the entry state of the row of a step has 2 numbers; expected 1 numbers: x \[m\]"),
+        ({"state": [1.0, 2.0]}, r"the entry state of the row of a step has 2 numbers; expected 1 number: x \[m\]"),
         ({"estimate": []}, "estimate of the row of a step has 0 numbers; expected 1"),
         ({"sent": {"sensor": 1}}, "the row of a step has no sent for the link 'actuator'"),
         ({"cost": float("nan")}, "the row of step 0 contains a number that is not finite; expected None"),
@@ -192,11 +192,11 @@ def test_a_row_that_could_not_be_drawn_is_refused(page: Page, change: dict[str, 
         (lambda: replace(ROVER, value=0.2), "price is 0.2; expected 0 ≤ price ≤ 0.1"),
         (lambda: replace(ROVER, parameter=("price", -1.0, 1.0)), "the least price is -1; expected 0 ≤"),
         (lambda: replace(ROVER, parameter=("price", 1.0, 1.0)), "the largest price is 1; expected 1 <"),
-        (lambda: replace(ROVER, losses=(0.1,)), "'losses' has 1 numbers; expected one number for each of"),
+        (lambda: replace(ROVER, losses=(0.1,)), "'losses' has 1 number; expected one number for each of"),
         (lambda: replace(ROVER, losses=(0.1, 2.0)), "the loss of the actuator link is 2; expected 0 ≤"),
         (lambda: replace(ROVER, bound=float("inf")), "bound is inf; expected a finite number"),
-        (lambda: replace(OMNI, states=("x [m]",)), "'states' has 1 names; expected at least 2 for the robot 'omni'"),
-        (lambda: replace(OMNI, reference=((1.0,),)), "'reference' contains a state of 1 numbers; expected 2 to 3"),
+        (lambda: replace(OMNI, states=("x [m]",)), "'states' has 1 name; expected at least 2 for the robot 'omni'"),
+        (lambda: replace(OMNI, reference=((1.0,),)), "'reference' contains a state of 1 number; expected 2 to 3"),
     ],
 )
 def test_a_round_that_could_not_be_shown_is_refused(build: Callable[[], object], says: str) -> None:

@@ -334,7 +334,7 @@ class FixedStep(TimeStep):
         super().take(step)
 
     def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
-        """Return the label that the case states, instead of the one that the trigger would select."""
+        """Return, for each label of a decision, whether the case states it; the forms of the trigger do not matter."""
         return [i == self._option for i in range(len(values) - 1)]
 
     def arrives(self, link: str, sent: Truth) -> Truth:
@@ -432,7 +432,7 @@ class Outcomes(Displayed):
     decides: bool  # whether the policy of the loop may skip a send
 
     def growth(self, power: int) -> float:
-        """Compute the asymptotic growth factor per step of the moments of order 2 or 4; 0 if there are too many."""
+        """Compute the asymptotic growth factor per step of the moments of order 2 or 4; 0 if too many to compute."""
         r, states = self.F.shape[1], len(self.turns)
         if r == 0 or (power == 4 and states * r**4 * len(self.F) > MOST_MOMENTS):
             return 0.0

@@ -89,7 +89,7 @@ class CertaintyEquivalentDesign(Displayed):
         return allowance(self.loop, self.regulator, self.filter, self.cost_all_time, apart)
 
     def raised(self, silence: float, allowed: Allowance | None) -> tuple[float, float]:
-        """Return J_all, and a factor for the cost of not sending, with which bounds allow for rounded gains.
+        """Return the J_all and the factor of the cost of silence with which bounds also hold for rounded gains.
 
         Without a proof, they are J_all as computed, and 1.
         """

@@ -1,4 +1,4 @@
-"""Effect of a node's own unsent packets on a loop with any linear controller: its cost so far, and its cost-to-go.
+"""How the packets that a node did not send affect a loop with any linear controller: the cost so far and to go.
 
 A link that is silent adds an error d to a linear loop: the value that the receiver uses, minus the value that a packet
 would carry. The loop with every sample is z⁺ = F z, and its cost output ζ is the root of the stage cost, so the errors

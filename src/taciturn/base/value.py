@@ -313,7 +313,7 @@ def least_value(F: Array, M: Array) -> tuple[Array, float]:
 
 
 def seen_part(F: Array, C: Array) -> Array:
-    """Return coordinates, (k, n), of z⁺ = F z without the non-decaying modes that are unobservable through C.
+    """Return coordinates, (k, n), of z⁺ = F z without the modes that neither decay nor affect C z.
 
     The sizes of the states must be comparable.
     """

@@ -19,6 +19,7 @@ import logging
 import os
 import select
 import sys
+import time
 import tomllib
 import warnings
 from collections.abc import Callable, Generator, Iterable, Mapping
@@ -32,7 +33,7 @@ import typer.core
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
 from taciturn._process import Interrupted, ends_on_signals, has_ended, prefer_one_thread
-from taciturn._text import WIDEST, wrapped_text
+from taciturn._text import WIDEST, number_of, wrapped_text
 from taciturn.cli.usage import EXAMPLE as EXAMPLE
 from taciturn.cli.usage import name_options, no_command, parser_words, usage_text
 from taciturn.errors import TaciturnError
@@ -545,6 +546,9 @@ def can_print(letters: str) -> bool:
     return True
 
 
+SOON, LONG = 2.0, 100.0  # seconds before the remaining time is estimated, and from which it is in minutes
+
+
 @contextmanager
 def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
     """While the block runs, show a progress bar with the remaining time, if standard error is a terminal."""
@@ -552,16 +556,28 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
         yield lambda fraction: None
         return
     from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)  # indeterminate until a fraction is known
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}")
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None, left="")  # indeterminate until a fraction is known
+        began = time.monotonic()
 
         def move(fraction: float) -> None:
-            counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{cells} cells"
-            bar.update(task, total=1.0, completed=fraction, description=what + counted)
+            counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{number_of(cells, 'cell')}"
+            left = left_text(time.monotonic() - began, fraction)
+            bar.update(task, total=1.0, completed=fraction, description=what + counted, left=left)
 
         yield move
+
+
+def left_text(elapsed: float, fraction: float) -> str:
+    """Write how long a computation still takes, from the seconds that a fraction of it has taken."""
+    if elapsed < SOON or fraction <= 0:
+        return ""
+    left = elapsed * (1 / fraction - 1)
+    return f"about {max(1, round(left))} s left" if left < LONG else f"about {round(left / 60)} min left"
 
 
 def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:

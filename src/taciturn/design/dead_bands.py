@@ -24,6 +24,7 @@ from math import sqrt
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._text import number_of
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop, SameControl
 from taciturn.base.value import Base
@@ -59,8 +60,8 @@ def given_at_nodes(
         limit = "input_rate" if plant.input_limit is None else "input_limit"
         got = "the controller has a set-point" if plant.saturation is None else f"plant.{limit} is given"
         raise ProblemError(
-            f"the policy sends packets on {len(network.links)} links, but {got}; expected inputs without limits and a "
-            "controller without set-point and start_input, or a network with one link"
+            f"the policy sends packets on {number_of(len(network.links), 'link')}, but {got}; expected inputs "
+            "without limits and a controller without set-point and start_input, or a network with one link"
         )
     bands, control = DeadBands(network, plant, delta, shares), GivenSteps(loop.controller, plant)
     around, base = bands.around, loop.every_sample()

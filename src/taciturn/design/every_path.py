@@ -36,6 +36,7 @@ import numpy as np
 
 from taciturn._arrays import Array, flag, instance, number, symmetrised
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.base.certainty import Actuation, design_certainty, expect_average
 from taciturn.base.filter import HELD, SEND
 from taciturn.base.given_controller import CONSTANT, GivenLoop
@@ -570,8 +571,10 @@ def _others(
         sizes = [(len(p.A), p.inputs, len(p.C)) for p in (one, plant)]
         if sizes[0] != sizes[1]:
             raise ProblemError(
-                f"plants[{place}] has {sizes[0][0]} states, {sizes[0][1]} inputs and {sizes[0][2]} outputs; expected "
-                f"{sizes[1][0]} states, {sizes[1][1]} inputs and {sizes[1][2]} outputs, as in the plant of the design"
+                f"plants[{place}] has {number_of(sizes[0][0], 'state')}, {number_of(sizes[0][1], 'input')} and "
+                f"{number_of(sizes[0][2], 'output')}; expected "
+                f"{number_of(sizes[1][0], 'state')}, {number_of(sizes[1][1], 'input')} and "
+                f"{number_of(sizes[1][2], 'output')}, as in the plant of the design"
             )
         yield altered(one, {"exosystem": plant.exosystem})
 

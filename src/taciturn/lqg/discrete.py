@@ -45,6 +45,7 @@ from taciturn._modes import (
     unit_columns,
 )
 from taciturn._rational import Limit, unmoved
+from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import MOST_PROBLEMS, remembered
 from taciturn.lqg.enclosures import UNIT
@@ -170,7 +171,7 @@ def registers_from(problem: Discrete) -> int:
 
 
 def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of the plant ``model`` for a problem whose states contain other registers."""
+    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
     point, fed, place = model.operating_point, [*problem.plant.registers], registers_from(problem)
     if point is None or model.registers == problem.plant.registers:
         return point
@@ -692,7 +693,7 @@ def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continu
     hidden = (unmoved(A[np.ix_(some, some)].T, C[:, some].T, Limit(continuous), True).lasting for some in (plant, keep))
     if not next(hidden).size and next(hidden).size:
         raise ProblemError(
-            f"the disturbances ({int(unknown.sum())} states) are not observable from the measured outputs "
+            f"the disturbances ({number_of(int(unknown.sum()), 'state')}) are not observable from the measured outputs "
             f"({len(exosystem.G)}); expected disturbances with different effects on the outputs, and at most as many "
             "constant disturbances as outputs: remove a disturbance, or add a sensor"
         )

@@ -31,6 +31,7 @@ from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
 from taciturn._progress import check_time
 from taciturn._rational import Limit, precision, unmoved
+from taciturn._text import number_of
 from taciturn.errors import UnstableError
 from taciturn.lqg.critical_losses import Channel, Lasting, Link, LossyStep, MeanSquare
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, solve
@@ -238,7 +239,8 @@ def regulate_lossy_finite(
             overflown = not np.isfinite(K[k] @ K[k] + P[k] @ P[k]).all()
         if overflown:
             raise UnstableError(
-                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the loss "
+                f"the cost-to-go overflows {number_of(horizon - k, 'step')} before the end of the horizon of "
+                f"{horizon}: the loss "
                 "probabilities are too large for this plant; expected a shorter horizon, or smaller loss "
                 "probabilities"
             )

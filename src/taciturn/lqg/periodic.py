@@ -35,6 +35,7 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._progress import check_time
+from taciturn._text import number_of
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import Doubles, E, UnprovedError, block
@@ -345,7 +346,9 @@ class MultirateControl(Displayed):
                 break
             if float(np.abs(K - before).max()) <= _SETTLED * size:
                 return values, squares
-        named = ", ".join(f"{link} every {one.period} steps" for link, one in zip(self._linked, timings, strict=True))
+        named = ", ".join(
+            f"{link} every {number_of(one.period, 'step')}" for link, one in zip(self._linked, timings, strict=True)
+        )
         raise UnstableError(
             f"periodic packets on the links ({named}) do not stabilise the plant; expected shorter periods"
         )

@@ -98,9 +98,7 @@ class Quadratic(NamedTuple):
 
 
 def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
-    """Return two matrices: they place the old states, and ``more`` new states from index ``place`` on, among all
-    states.
-    """
+    """Return two matrices that write all states from the old ones, and from ``more`` new ones that begin at ``place``."""
     old, new = np.split(np.eye(states + more), [states], axis=1)
     order = np.insert(np.arange(states), [place] * more, range(states, states + more))
     return old[order], new[order]

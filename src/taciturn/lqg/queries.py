@@ -1,4 +1,4 @@
-"""Sensor schedules: a query is worth its value for the controller, or is made if an output's variance is large.
+"""Sensor schedules: the controller queries if this is worth its price, or if an output's variance is large.
 
 The controller uses the measurement of step k at step k + 1. Let Ric(Σ) be the next error covariance with a measurement,
 and P the weight of the error in the cost. If all later steps query the sensor, a query at Σ saves

@@ -24,6 +24,7 @@ from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
 from taciturn._rational import NONE, Limit, unmoved, unmoved_and_seen
+from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import remembered
 from taciturn.lqg.enclosures import E, UnprovedError
@@ -136,7 +137,8 @@ def regulate_finite(
             cross = B.T @ K[k + 1] @ A + N.T
         if not (np.isfinite(H[k]).all() and np.isfinite(cross).all()):
             raise UnstableError(
-                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon} steps: A has "
+                f"the cost-to-go overflows {number_of(horizon - k, 'step')} before the end of the horizon of "
+                f"{number_of(horizon, 'step')}: A has "
                 f"the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; expected a shorter horizon, or an input that "
                 "affects this mode"
             )
@@ -150,7 +152,8 @@ def regulate_finite(
             break
     if not np.isfinite(K[0]).all():
         raise UnstableError(
-            f"the cost-to-go overflows at step 0 of the horizon of {horizon} steps; expected a shorter horizon"
+            f"the cost-to-go overflows at step 0 of the horizon of {number_of(horizon, 'step')}; expected a shorter "
+            "horizon"
         )
     return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
 

@@ -66,7 +66,7 @@ class Source(NamedTuple):
 
 
 class Builder(Protocol):
-    """Function that encloses the matrices of one step in a given arithmetic. Each call computes them anew."""
+    """Function that encloses the matrices of one step in a given arithmetic, and computes them anew in each call."""
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem."""

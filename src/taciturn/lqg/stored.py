@@ -105,7 +105,7 @@ class Closing(Protocol):
 
 
 class Valued(NamedTuple, Generic[E]):
-    """A loop with a controller in doubles, and the proof of its cost in one arithmetic."""
+    """A loop whose controller is stored in doubles, and the proof of its cost, computed in one kind of arithmetic."""
 
     cost: Proved  # the average cost per step
     step: Step[E]  # enclosures of the plant and the weights
@@ -382,7 +382,7 @@ def _allowance(
     cost: float,
     apart: Apart | None,
 ) -> Allowance:
-    """Return the bounds in one arithmetic."""
+    """Return the bounds, computed in the given arithmetic."""
     problem, plant, exact = stored.problem, stored.problem.plant, arithmetic.exact
     _, step, loop, states, noise, X, falls = stored(arithmetic)
     L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))

@@ -27,6 +27,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unmasked, number, quoted, set_fields
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
@@ -155,9 +156,11 @@ class Controller(Displayed):
             raise ProblemError(
                 f"controller.dt is {self.dt:g} s, and a step of the policy takes {dt:g} s; expected equal steps"
             )
-        for name, got, expected in zip(("inputs", "measurements"), self.D.shape, (inputs, outputs), strict=True):
+        for name, got, expected in zip(("input", "measurement"), self.D.shape, (inputs, outputs), strict=True):
             if got != expected:
-                raise ProblemError(f"the controller has {got} {name}; expected {expected} {name}, to match the plant")
+                raise ProblemError(
+                    f"the controller has {number_of(got, name)}; expected {number_of(expected, name)}, as of the plant"
+                )
         return self
 
 

@@ -101,8 +101,8 @@ class Disturbance(Displayed):
                 )
         elif deviation.ndim == 1 and len(deviation) != plant.inputs:
             raise ProblemError(
-                f"disturbance.deviation has {len(deviation)} entries; expected {plant.inputs} entries, one for each "
-                "input"
+                f"disturbance.deviation has {number_of(len(deviation), 'entry')}; expected "
+                f"{number_of(plant.inputs, 'entry')}, one for each input"
             )
         T = USUAL_STEPS * step if self.time_constant is None else self.time_constant
         if MOST_STEPS * step < T:

@@ -21,6 +21,7 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn._plugins import find_plugins, load_entry
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 SUMS = 1e-9  # largest deviation of a sum of probabilities from 1
@@ -250,7 +251,8 @@ class Chain(LossLaw):
         if any(len(row) != len(self.moves) for row in self.moves):
             lengths = ", ".join(str(len(row)) for row in self.moves)
             raise ProblemError(
-                f"the rows of 'moves' have {lengths} numbers; expected {len(self.moves)} numbers in each row"
+                f"the rows of 'moves' have {lengths} numbers; expected "
+                f"{number_of(len(self.moves), 'number')} in each row"
             )
         moves = tuple(tuple(number("moves", one, 0.0, 1.0, closed=True) for one in row) for row in self.moves)
         object.__setattr__(self, "moves", moves)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from taciturn._arrays import quoted
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.key import stated_as
 
@@ -57,7 +58,8 @@ class Names(Displayed):
         for role, names, size in (("outputs", self.outputs, outputs), ("inputs", self.inputs, inputs)):
             if names and len(names) != size:
                 raise ProblemError(
-                    f"names.{role} has {len(names)} entries; expected {size} entries, one for each of the {role}"
+                    f"names.{role} has {number_of(len(names), 'entry')}; expected {number_of(size, 'entry')}, one "
+                    f"for each of the {role}"
                 )
 
 

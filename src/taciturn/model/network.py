@@ -254,8 +254,8 @@ class Network(Displayed):
         controllers = [name for name, role in self.nodes.items() if role.controls]
         if len(controllers) != 1:
             raise ProblemError(
-                f"{len(controllers)} nodes control ({', '.join(controllers) or 'none'}); expected one node with "
-                "controls = true"
+                f"{number_of(len(controllers), 'node')} control ({', '.join(controllers) or 'none'}); expected one "
+                "node with controls = true"
             )
         for name in self._remote():
             if self.nodes[name].measures and self.nodes[name].applies:

@@ -65,7 +65,8 @@ class Inverse(NamedTuple):
             found = cast("fmpq_mat", cast("Any", matrix).solve(one))  # its stub leaves the type open
         except ZeroDivisionError:
             raise ProblemError(
-                f"E is singular: its rank is {matrix.rank()} for {n} states, so some equations are algebraic, and the "
+                f"E is singular: its rank is {matrix.rank()} for {number_of(n, 'state')}, so some equations are "
+                "algebraic, and the "
                 "state could jump with an input; expected an invertible E: eliminate the states that the algebraic "
                 "equations determine"
             ) from None
@@ -269,7 +270,7 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
         first = value.values[0]
         if len(value.values) == 1:
             return matrix_lines(name, first)
-        note = (name, f"selected by {value.by}, {len(value.values)} matrices; the first:")
+        note = (name, f"the first of {len(value.values)}, selected by {value.by}:")
         return [note, *(("", text) for _, text in matrix_lines("", first))]
     rows, columns = value.shape
     if not value.any():

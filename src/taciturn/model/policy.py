@@ -131,8 +131,8 @@ class Policy(Displayed):
                     )
                 if sizes.setdefault(name, size) != size:
                     raise ProblemError(
-                        f"the signal {name} has {sizes[name]} entries in one step and {size} in another; expected "
-                        "equal sizes"
+                        f"the signal {name} has {number_of(sizes[name], 'entry')} in one step and {size} in another; "
+                        "expected equal sizes"
                     )
         object.__setattr__(self, "sizes", sizes)
         initial = {  # + 0.0: a program merges states that start equal, and −0.0 equals 0.0
@@ -165,10 +165,10 @@ class Policy(Displayed):
                 )
         for signal, (node, entries) in self.applied.items():
             if sizes.get(signal) != len(entries):
-                got = f"has {sizes[signal]} entries" if signal in sizes else "is never assigned"
+                got = f"has {number_of(sizes[signal], 'entry')}" if signal in sizes else "is never assigned"
                 raise ProblemError(
-                    f"the signal {signal} {got}; expected a signal with {len(entries)} entries that is assigned at the "
-                    f"node {node}"
+                    f"the signal {signal} {got}; expected a signal with {number_of(len(entries), 'entry')} that is "
+                    f"assigned at the node {node}"
                 )
 
     def summary(self) -> Mapping[str, object]:
@@ -323,7 +323,7 @@ class Policy(Displayed):
                         hint = ". Did you pass its transpose?" if rows == self._size(name) else ""
                         raise ProblemError(
                             f"the weight of {name} in {step.signal} has shape {(rows, columns)}; expected "
-                            f"{self._size(name)} columns, one for each entry of {name}{hint}"
+                            f"{number_of(self._size(name), 'column')}, one for each entry of {name}{hint}"
                         )
         elif isinstance(step, Evaluate):
             for form in step.forms:
@@ -380,8 +380,8 @@ class Policy(Displayed):
                 else f"the policy has only {list(sizes)}"
             )
             raise ProblemError(
-                f"a table has {len(value.values)} entries selected by the location {value.by!r}, but {got}; "
-                "expected one entry per state of the location"
+                f"a table has {number_of(len(value.values), 'entry')} selected by the location {value.by!r}, but "
+                f"{got}; expected one entry per state of the location"
             )
 
 

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from taciturn._display import FULL, Displayed, brief, html_pairs, html_table, is_empty
 from taciturn._files import write_whole
-from taciturn._text import Lines, pairs_text, table_text, wrapped_text
+from taciturn._text import Lines, number_of, pairs_text, table_text, wrapped_text
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate, bound_text, outward
@@ -216,7 +216,7 @@ def plain(value: Any) -> Any:
 
 
 def whole(estimate: Estimate) -> dict[str, Any]:
-    """Convert an estimate to JSON, including its method and, for a quadrature, its error bound."""
+    """Return the JSON of an estimate with its method and, for a quadrature, its error bound."""
     return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})
 
 
@@ -382,7 +382,9 @@ class Tabular(Result):
         rows = [[escape(_text(value)) for value in row] for row in zip(*columns.values(), strict=True)]
         told = self.about()
         if len(rows) > FIRST + LAST:
-            told["omitted"] = f"{len(rows) - FIRST - LAST} of {len(rows)} rows; to_pandas() and to_csv() return all"
+            told["omitted"] = (
+                f"{len(rows) - FIRST - LAST} of {number_of(len(rows), 'row')}; to_pandas() and to_csv() return all"
+            )
             rows = [*rows[:FIRST], ["…"] * len(columns), *rows[-LAST:]]
         above = self._verdict() + html_pairs(type(self).__name__, told)
         return above + html_table([name.replace("_", " ") for name in columns], rows)

@@ -96,7 +96,7 @@ def rule_of(policy: PolicyData, send: Send) -> Rule:
 
 
 def choice_of(policy: PolicyData, decide: Decide) -> Rule:
-    """Describe a decision that sends no packet. The attribute ``when`` of the returned rule is the description."""
+    """Describe a decision that sends no packet, such as a choice between gains, in ``when`` of the returned rule."""
     labels = decide.trigger.labels
     turning = timetable(policy, decide.trigger, labels[1:])
     if turning is not None and len(labels) == 2:
@@ -128,7 +128,7 @@ def pattern_text(pattern: Sequence[bool], start: int) -> str:
         every = ordinal(gaps.pop()).removeprefix("1st")
         return f"every {f'{every} step' if every else 'step'} from {ticks[0]} to {ticks[-1]}, then {later}"
     shown = ", ".join(map(str, ticks[:LISTED])) + (", …" if len(ticks) > LISTED else "")
-    first = f"{len(ticks)} of the first {start} steps" + (f" ({shown})" if ticks else "")
+    first = f"{len(ticks)} of the first {number_of(start, 'step')}" + (f" ({shown})" if ticks else "")
     return f"{first}, then {later}"
 
 
@@ -151,7 +151,7 @@ def _turn_text(turn: Sequence[bool]) -> str:
     if len(gaps) == 1:
         return f"every {ordinal(gaps.pop())} step"
     if len(ticks) > LISTED:
-        return f"{len(ticks)} of {len(turn)} steps"
+        return f"{len(ticks)} of {number_of(len(turn), 'step')}"
     return f"steps {listed([*map(str, ticks)])} of every {len(turn)}"
 
 
@@ -291,7 +291,7 @@ class _Reader:
         if trigger.limit is None and clauses:
             return self._rule(f"{plain(others[0])} when {listed(clauses, 'or')}, otherwise {plain(first)}")
         least = "the least" if trigger.limit is None else f"the first of at most {_number(trigger.limit)}"
-        return self._rule(f"{least} of {len(trigger.labels)} values decides")
+        return self._rule(f"{least} of {number_of(len(trigger.labels), 'value')} decides")
 
     def _rule(self, when: str, limits: tuple[str, ...] = (), together: tuple[str, ...] = ()) -> Rule:
         return Rule(when, limits, self._symbols, self._matrices, together, frozenset(self._follows))

@@ -17,6 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, quoted
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 
@@ -83,7 +84,10 @@ def limits_from(value: ArrayLike, inputs: int) -> Array:
         high = positive("input_limit", value, inputs)
         return frozen(np.stack([-high, high], axis=1))
     if len(entries) != inputs:
-        raise ProblemError(f"input_limit has {len(entries)} entries; expected {inputs} entries, one for each input")
+        raise ProblemError(
+            f"input_limit has {number_of(len(entries), 'entry')}; expected {number_of(inputs, 'entry')}, one for "
+            "each input"
+        )
     return frozen(np.array([_pair(f"input_limit[{i}]", entry) for i, entry in enumerate(entries)]))
 
 

@@ -41,6 +41,7 @@ from taciturn._arrays import (
 )
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.key import NO_KEY, Rows, stated_as
 from taciturn.model.operating_point import OperatingPoint
@@ -287,8 +288,8 @@ class SetPoint(Displayed):
             instance("changes", changes, *Changes.__subclasses__())
             if changes.size != size:
                 raise ProblemError(
-                    f"reference.{changes.key} states changes of {changes.size} set-points; expected {size} set-points, "
-                    "one for each row of reference.outputs"
+                    f"reference.{changes.key} states changes of {number_of(changes.size, 'set-point')}; "
+                    f"expected {number_of(size, 'set-point')}, one for each row of reference.outputs"
                 )
         if changes is not None and changes.known is not None:
             if value is not None:
@@ -482,7 +483,8 @@ class Exosystem(Displayed):
             for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
                 if len(got) != expected:
                     raise ProblemError(
-                        f"disturbance[{place}].{name} has {len(got)} entries; expected {expected} entries"
+                        f"disturbance[{place}].{name} has {number_of(len(got), 'entry')}; expected "
+                        f"{number_of(expected, 'entry')}"
                     )
         changes, at = target.changes, None
         if point is not None and target.value is not None:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import ArrayLike, array, count, quoted
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
@@ -80,8 +81,8 @@ class Assign(Displayed):
         )
         if (on is None) != (len(checked) == 1):
             raise ProblemError(
-                f"the step that computes {signal} has {len(checked)} branches and the condition {on}; expected one "
-                "branch without a condition, or several branches that depend on a condition"
+                f"the step that computes {signal} has {number_of(len(checked), 'branch')} and the condition {on}; "
+                "expected one branch without a condition, or several branches that depend on a condition"
             )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:
@@ -112,8 +113,8 @@ class Evaluate(Displayed):
         """Check the number of forms."""
         if (self.on is None) != (len(self.forms) == 1):
             raise ProblemError(
-                f"the step that computes {self.signal} has {len(self.forms)} forms and the condition {self.on}; "
-                "expected one form without a condition, or several forms that depend on a condition"
+                f"the step that computes {self.signal} has {number_of(len(self.forms), 'form')} and the condition "
+                f"{self.on}; expected one form without a condition, or several forms that depend on a condition"
             )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, choice
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
@@ -100,8 +101,8 @@ class Encoding(Displayed):
             return [self] * len(sizes)
         if len(self.full_scale) not in (1, entries):
             raise ProblemError(
-                f"the packet has {entries} entries, but its range has {len(self.full_scale)} numbers; expected one "
-                "number for all entries, or one for each"
+                f"the packet has {number_of(entries, 'entry')}, but its range has "
+                f"{number_of(len(self.full_scale), 'number')}; expected one number for all entries, or one for each"
             )
         each = self.full_scale * (entries // len(self.full_scale))
         ends = list(accumulate(sizes, initial=0))

@@ -159,7 +159,7 @@ class Words:
         return self._known(name)[0] or self.meaning(name) if changed is None else f"Δ{self.symbol(changed)}"
 
     def meaning(self, name: str) -> str:
-        """Describe in words what a signal is."""
+        """Return the words that diagrams and rules show for a signal."""
         if self.drawn(name):
             return DRAWN[1]
         if (told := self._told(name)) is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
+from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
@@ -92,7 +93,8 @@ class SimulatedPlant:
         """
         if len(inputs) != self.inputs:
             raise ProblemError(
-                f"the input has {len(inputs)} entries; expected {self.inputs} entries, one for each input of the plant"
+                f"the input has {number_of(len(inputs), 'entry')}; expected {number_of(self.inputs, 'entry')}, one "
+                "for each input of the plant"
             )
         before, u = self.state.tolist(), [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)

@@ -28,7 +28,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, quoted
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
-from taciturn._text import backslash_text
+from taciturn._text import backslash_text, number_of
 from taciturn.base.given_controller import cost_as_now
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
@@ -146,7 +146,9 @@ def _rows(text: str) -> Array:
         entries, row = content.split(","), list[float]()
         first = first or line
         if rows and len(entries) != len(rows[0]):
-            raise ValueError(f"line {line} has {len(entries)} columns, and line {first} has {len(rows[0])}")
+            raise ValueError(
+                f"line {line} has {number_of(len(entries), 'column')}, and line {first} has {len(rows[0])}"
+            )
         for column, entry in enumerate(entries, start=1):
             try:
                 row.append(float(entry.replace("_", "?")))
@@ -338,8 +340,10 @@ def actual_of(
     for name, axis in (("A", 0), ("B", 1), ("C", 0)):
         got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
         if got != expected:
-            size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
-            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected} {size}, as in [plant]")
+            size = {"A": "state", "B": "input", "C": "output"}[name]
+            raise ProblemError(
+                f"[plant.actual] has {number_of(got, size)}; expected {number_of(expected, size)}, as in [plant]"
+            )
     return plant
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tomllib
 
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 
@@ -17,7 +18,9 @@ def parse_settings(items: list[str]) -> dict[str, object]:
     settings = parse_grid(items, "--set")
     for name, values in settings.items():
         if len(values) > 1:
-            raise ProblemError(f"--set {name} has {len(values)} values; expected one value: write a list as [v1,v2]")
+            raise ProblemError(
+                f"--set {name} has {number_of(len(values), 'value')}; expected one value: write a list as [v1,v2]"
+            )
     texts = {name.strip(): text.strip() for name, _, text in (item.partition("=") for item in items)}
     return {name: None if texts[name] == "none" else values[0] for name, values in settings.items()}
 

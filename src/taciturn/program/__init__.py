@@ -38,4 +38,5 @@ Read the modules in this order:
 6. ``functions``: elementary functions with the names of NumPy's functions. ``tracing``: calls a NumPy function of a
    policy or plant once with symbols, and records its operations.
 7. ``python`` and ``c``: source code for nodes and devices. ``quadratic``: programs as quadratic forms.
+   ``ranges``: the ranges that values keep at every step.
 """

@@ -191,7 +191,7 @@ def is_entry(name: Name, *signals: str) -> TypeGuard[Entry]:
 
 
 def text_of(name: Name) -> str:
-    """Write a name as text for the description of a policy's nodes."""
+    """Write the name of an input, state, sum or output as text, for example as a key in the log of a node."""
     if isinstance(name, Entry):
         return " ".join(filter(None, (name.link, name.signal, str(name.index))))
     if isinstance(name, Sent):

@@ -28,6 +28,7 @@ from typing import Any, TypeGuard, cast
 import numpy as np
 import numpy.typing as npt
 
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS
 from taciturn.program.ir import Builder, Coefficient, equals
@@ -76,9 +77,10 @@ def trace(
     if len(results) == 1:
         returned = (returned,)
     elif not _is_list(returned) or len(returned) != len(results):
-        got = f"{len(returned)} values" if _is_list(returned) else "one vector"
+        got = f"{number_of(len(returned), 'value')}" if _is_list(returned) else "one vector"
         raise ProblemError(
-            f"the function {name} returns {got}; expected a tuple of {len(results)} vectors: {', '.join(results)}"
+            f"the function {name} returns {got}; expected a tuple of {number_of(len(results), 'vector')}: "
+            f"{', '.join(results)}"
         )
     pairs = zip(results.items(), returned, strict=True)
     return {result: _result(recorder, result, size, value) for (result, size), value in pairs}

@@ -42,7 +42,7 @@ class NoQuadratureError(ProblemError):
 
     @property
     def reason(self) -> str:
-        """The reason, which is the first part of the error message, before expected value and remedy."""
+        """The first part of the error message, which tells the reason; the expected value and a remedy follow."""
         return str(self).split("; ", 1)[0]
 
 

@@ -64,7 +64,7 @@ class Ellipsoid(Displayed):
     m: Array  # weights, (n,)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Compute both ends of the ellipsoid's line segment along the next axis; infinite if m is 0 on this axis."""
+        """Compute both ends of the ellipsoid's line segment along the next axis; they are infinite if m is 0 there."""
         axis, left = outer.shape[1], np.ones(len(outer))
         for m, x in zip(self.m, outer.T, strict=False):
             left = np.maximum(left - m * x * x, 0.0)

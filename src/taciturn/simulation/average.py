@@ -34,6 +34,7 @@ from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.analyse.every_sample import MORE, with_every_sample
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
+from taciturn.model.estimate import Estimate
 from taciturn.simulation.reliability import (
     doubt_errors,
     doubt_moments,
@@ -45,13 +46,13 @@ from taciturn.simulation.reliability import (
 from taciturn.simulation.sampling import (
     SETTLING_CONSTANTS,
     SHORTEST_BURN_IN,
-    SIMULATED_PATHS,
     Averages,
     Estimator,
     Part,
     Sampling,
     counts,
     last_of,
+    paths_of,
 )
 
 _LEAST_STEPS, _MOST_STEPS = 1024, 1e13  # the largest number takes hours
@@ -290,6 +291,8 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     found, loop = replace(found, estimator=AVERAGED[parts[0].estimator.sum]), parts[0].loop
     if len(parts) > 1:
         return found
+    if mute := {link for link, rate in found.rates.items() if rate.value == 0} and loop.mute:
+        found = replace(found, rates={**found.rates, **{link: Estimate(0.0, 0.0, "exact") for link in mute}})
     # completed squares are bounded if they are those of a decision and not of the input that is applied
     identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
     unbounded = parts[0].estimator.sum != EXCESS or (identity is not None and identity.on is None and lossy)
@@ -320,7 +323,7 @@ def base_rate(loop: Loop) -> float:
 def least_work(loop: Loop) -> float:
     """Return how many operations ``average`` needs, at least, until a loop is in stationary operation."""
     least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
-    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * SIMULATED_PATHS
+    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * paths_of(loop, least)
 
 
 def choose_estimator(loop: Loop) -> Estimator:

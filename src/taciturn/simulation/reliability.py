@@ -62,8 +62,14 @@ def find_doubts(
     loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
 ) -> tuple[str, ...]:
     """List warnings about the reliability of a simulated average."""
-    silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
+    none = [link for link, rate in rates.items() if rate.value == 0]
+    mute = loop.mute if none else frozenset[str]()
+    silent, never = (
+        " and ".join(f"the {link} link" for link in none if (link in mute) == is_mute) for is_mute in (False, True)
+    )
     notes = loop.problem.remarks
+    if never:
+        notes += (f"after the start, nothing is ever sent on {never}, whatever the noise is",)
     if escapes(loop):
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
@@ -88,8 +94,8 @@ def find_doubts(
         )
     elif silent and not settled and not drifts and loop.identity is None:
         notes += (
-            f"nothing was sent on {silent} in the {steps} steps simulated: the cost is that of silence until the first "
-            "packet, and not an average",
+            f"nothing was sent on {silent} in the {number_of(steps, 'step')} simulated: the cost is that of silence "
+            "until the first packet, and not an average",
         )
     elif silent:
         notes += (f"nothing was sent on {silent} in {number_of(steps, 'step')}: the cost is that of silence",)

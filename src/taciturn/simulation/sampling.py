@@ -35,6 +35,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
+from taciturn._text import number_of
 from taciturn.analyse.every_sample import MORE
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
@@ -49,6 +50,7 @@ from taciturn.simulation.statistics import Moments, controlled_mean, mean, rate_
 # the run: paths, steps, and the precision that is asked for
 SIMULATED_PATHS = 4096
 _FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
+_BEGUN = 1 << 23  # most steps of all paths in a burn-in with more than _FEW_PATHS
 _FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
 _FEWEST_MISSIONS = 8
 MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
@@ -233,6 +235,12 @@ class Sampling:
         read = [name for some in names for name in some]
         self.counted: npt.NDArray[np.bool_] = np.array([isinstance(name, Sent) for name in read])
         self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
+        self.links = [  # of the counted sums
+            (part.loop, name.link)
+            for part, some in zip(self.parts, names, strict=True)
+            for name in some
+            if isinstance(name, Sent)
+        ]
 
     def _add_controls(self, history: History) -> bool:
         """Add control variates to the sums if there are any and enough paths to fit them; return whether it did."""
@@ -255,7 +263,7 @@ class Sampling:
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         few = max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8)
-        most = SIMULATED_PATHS if steps else min(SIMULATED_PATHS, few)
+        most = SIMULATED_PATHS if steps else min(few, *(paths_of(part.loop, self._burn_in) for part in self.parts))
         states, history, forgotten = self.settle(most, budget)
         first = history.steps
         if steps is not None and self._affordable(states, budget) > _PAYS * first:
@@ -307,7 +315,8 @@ class Sampling:
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
         if _FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"the horizon is {horizon}, so {budget} steps contain fewer than {_FEWEST_MISSIONS} runs; "
+                f"the horizon is {horizon}, so {number_of(budget, 'step')} contain fewer than "
+                f"{_FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
@@ -345,6 +354,12 @@ class Sampling:
         """Whether the cost of an uncontrolled plant grows without limit."""
         return any(comes_never_to_rest(part.loop) for part in self.parts)
 
+    def _must_send(self, loop: Loop, link: str) -> bool:
+        """Return whether the loop has settled only after a packet on the link: if it can send, and silence is not
+        safe.
+        """
+        return self._restless and link not in loop.mute
+
     def _affordable(self, states: Sequence[Array], budget: int) -> int:
         """Return the number of steps per path that the budget still allows."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
@@ -360,6 +375,12 @@ class Sampling:
         cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
         return -(-ticks // cycle) * cycle
 
+    @property
+    def _burn_in(self) -> int:
+        """Steps after which a transient has decayed that is as slow as the time constants of the designs."""
+        slowest = max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts)
+        return max(SHORTEST_BURN_IN, int(slowest))
+
     def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
         """Simulate until the transient has decayed. Return the final states, the history, and whether it has
         decayed.
@@ -369,8 +390,7 @@ class Sampling:
         # silence is safe. If the burn-in is long, fewer paths continue; half of the budget is reserved for the
         # measurement.
         width = len(self.parts)
-        slowest = max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts)
-        least = max(SHORTEST_BURN_IN, int(slowest))
+        least = self._burn_in
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         least = min(least, budget // paths // width // 2)
         states: list[Array] = [
@@ -393,7 +413,8 @@ class Sampling:
             length = history.windows[-1][0]
             sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
-            silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
+            awaited = [row for row, link in zip(sent, self.links, strict=True) if row.any() or self._must_send(*link)]
+            silent = max((float((row == 0).mean()) for row in awaited), default=0.0)
             settled = history.steps >= max(least, pace) and silent <= _SILENT and bool(history.kept(0))
             enough = enough or (history.steps if settled else 0)
             if settled and (not changed or history.steps >= _PROLONGED * enough):
@@ -408,19 +429,15 @@ class Sampling:
     def _unheard(self, means: Array) -> bool:
         """Return whether no packet has been sent on a link, after which the loop may be another one for long."""
         # With an identity, each silent step costs what it has cost so far. Without one, the controller goes on as if
-        # its packets had arrived, and a rare first packet moves integrals and banks that have been at rest.
+        # its packets had arrived, and a rare first packet moves integrals and banks that have been at rest. A node that
+        # sends on another link has been heard, and a link that cannot send moves nothing.
         loop = self.parts[0].loop
         if len(self.parts) > 1 or loop.identity is not None or loop.policy.theory.closed_form is not None:
             return False
         rates: list[float] = means[self.counted].mean(axis=1).tolist()
-        silent = [name.link for name, rate in zip(sends(loop), rates, strict=True) if rate == 0]
-        return not {*silent} <= {*loop.policy.theory.fixed_rates, *self._without_need(means, silent)}
-
-    def _without_need(self, means: Array, silent: Sequence[str]) -> Iterator[str]:
-        """Yield the links of a node that sends on another link, or whose silence costs nothing, as of a command 0."""
-        for links, costs in self._added(means).items():
-            if not costs.any() or not {*links} <= {*silent}:
-                yield from links
+        silent = {name.link for name, rate in zip(sends(loop), rates, strict=True) if rate == 0}
+        heard = [link for node in silences(loop) if not silent.issuperset(node.links) for link in node.links]
+        return any(link not in loop.mute for link in silent.difference(loop.policy.theory.fixed_rates, heard))
 
     def _pace(self, rates: Array) -> float:
         """Return the steps until a transient has decayed, from time constants and intervals between sends."""
@@ -444,7 +461,7 @@ class Sampling:
                     find_loss(part.loop, self.programs[k], run, before, now)
                     single = part.loop.precision == "float32"
                     passed = "the range of single precision" if single else f"{HUGE:g}"
-                    raise part.diverges(f"the cost exceeded {passed} within {self.steps} steps")
+                    raise part.diverges(f"the cost exceeded {passed} within {number_of(self.steps, 'step')}")
             ticks -= now
             self.progress.tick()
         return sums, after
@@ -530,6 +547,15 @@ class Sampling:
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
         self.progress(max(spent, precise))
+
+
+def paths_of(loop: Loop, burn_in: int) -> int:
+    """Return the number of paths of a loop without a horizon: few if the burn-in is long, which every path repeats.
+
+    If links drop packets, many paths show whether a few of them dominate the cost.
+    """
+    few = max(_FEW_PATHS, _BEGUN // burn_in // 8 * 8)
+    return min(SIMULATED_PATHS, few) if loop.network.ideal else SIMULATED_PATHS
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:

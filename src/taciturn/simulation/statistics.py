@@ -17,6 +17,7 @@ from contextlib import suppress
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 
@@ -116,7 +117,8 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
     length = len(values) // batches
     if length < 10:
         raise ProblemError(
-            f"record has {len(values)} values for {batches} batches; expected at least {10 * batches} values"
+            f"record has {number_of(len(values), 'value')} for {batches} batches; expected at least "
+            f"{number_of(10 * batches, 'value')}"
         )
     return _in_range(lambda: mean(values[-length * batches :].reshape(batches, length).mean(axis=1)), values)
 
@@ -150,7 +152,9 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     """
     values, begins = array("record", record, (None,), "(ticks,)"), array("renewals", renewals, (None,), "(ticks,)")
     if values.shape != begins.shape:
-        raise ProblemError(f"record has {len(values)} steps and renewals has {len(begins)}; expected equal lengths")
+        raise ProblemError(
+            f"record has {number_of(len(values), 'step')} and renewals has {len(begins)}; expected equal lengths"
+        )
     if not np.isin(begins, (0, 1)).all():
         raise ProblemError("renewals has entries other than 0 and 1; expected 1 at the start of a cycle, else 0")
     at = np.flatnonzero(begins)

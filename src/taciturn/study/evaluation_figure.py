@@ -23,9 +23,7 @@ Row = tuple[str, Estimate, int]  # name, cost, and the direction in which a boun
 
 
 def cost_panel(listed: Sequence[Row], near: Sequence[float], base: float | None, per: str, title: str) -> Panel:
-    """Make the panel of costs. The costs ``near`` remain distinguishable from ``base``, the cost of every
-    sample sent.
-    """
+    """Make the panel of costs. Its axis keeps the costs ``near`` apart from ``base``, the cost of every sample."""
     rows = listed[::-1]  # the first is the uppermost
     values = [cost.value for _, cost, _ in rows]
     above = Above.of(base, near, values) if base is not None and base > 0 else None

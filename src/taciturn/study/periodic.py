@@ -30,6 +30,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, check_time, late_text
+from taciturn._text import number_of
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
 from taciturn.design.at_fixed_steps import waiting_cost
@@ -164,8 +165,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         )
     if len(nodes.scheduled) > 1:
         raise NoClockError(
-            f"the policy makes send decisions on {len(nodes.scheduled)} links, and a single rate does not determine "
-            "the rate of each link"
+            f"the policy makes send decisions on {number_of(len(nodes.scheduled), 'link')}, and a single rate does "
+            "not determine the rate of each link"
         )
     if isinstance(nodes.model.changes, SampledChanges):
         raise NoClockError(
@@ -424,7 +425,7 @@ class Ticked(Clock):
         return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the lower convex hull between two rates, and the next slower corner, fastest first."""
+        """Return the corners of the lower convex hull between two rates, and the next corner below, by falling rate."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
         corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)

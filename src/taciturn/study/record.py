@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args, get_type_hints
 import numpy as np
 
 from taciturn._files import PART, read_bytes, why_unreadable, write_whole
+from taciturn._text import number_of
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -230,7 +231,7 @@ class Store:
                 f"; {others} other answers in it are for other values, or for another precision, seed, problem or "
                 "version: they stay in the store, unused"
             )
-            TOLD.info("%d of %d cells are read from %s%s", found, asked, self.folder, rest if others else "")
+            TOLD.info("%d of %s: read from %s%s", found, number_of(asked, "cell"), self.folder, rest if others else "")
 
     def read(self, key: str) -> object | None:
         """Read the answer stored for a key; return None if there is none.

@@ -490,8 +490,8 @@ def _errors(policy: Policy, deciding: Mapping[tuple[str, ...], list[Line]]) -> l
             return None
         if any(len(line["memory"].get(name, ())) != len(F) for line in lines):
             raise ProblemError(
-                f"the signal {name} does not have {len(F)} entries in every line of the logs, unlike in this policy; "
-                "expected the problem file that the nodes ran"
+                f"the signal {name} does not have {number_of(len(F), 'entry')} in every line of the logs, unlike in "
+                "this policy; expected the problem file that the nodes ran"
             )
         q = np.array([[0.0] * len(F), *(cast("list[float]", line["memory"][name]) for line in lines)])
         # the rule counts the value of a packet minus the one that is used in silence; the error is the opposite

@@ -27,6 +27,7 @@ from taciturn._arrays import Array, Bits, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import closure, factor, radius
 from taciturn._progress import check_time
+from taciturn._text import number_of
 from taciturn.analyse.switched import BoundedStep, Case
 from taciturn.base.given_controller import GivenLoop, SameControl
 from taciturn.base.value import GROWTH, least_value
@@ -73,7 +74,7 @@ class TimedLinks(Displayed):
         """
         found = [one for one in (self._at_its_step(timings), self._discretised(timings)) if one is not None]
         if not found:
-            named = ", ".join(f"{link} every {one.period} steps" for link, one in timings.items())
+            named = ", ".join(f"{link} every {number_of(one.period, 'step')}" for link, one in timings.items())
             raise UnstableError(
                 f"the loop of the controller is unstable with periodic packets on the links ({named}); expected "
                 "shorter periods"

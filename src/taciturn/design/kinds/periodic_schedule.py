@@ -11,6 +11,7 @@ from __future__ import annotations
 from math import comb
 
 from taciturn._arrays import count
+from taciturn._text import number_of
 from taciturn.base.certainty import design_certainty
 from taciturn.design.at_fixed_steps import held_in_cycles
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -76,7 +77,9 @@ def periodic_schedule(
             continue
         found = tried if found is None or tried.cost < found.cost else found
     if found is None:
-        raise UnstableError(f"no pattern of {sends} sends in {length} steps has a stabilising gain: {lost}")
+        raise UnstableError(
+            f"no pattern of {number_of(sends, 'send')} in {number_of(length, 'step')} has a stabilising gain: {lost}"
+        )
     return held_in_cycles("periodic-schedule", certainty, found)
 
 
