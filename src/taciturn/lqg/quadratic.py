@@ -98,7 +98,7 @@ class Quadratic(NamedTuple):
 
 
 def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
-    """Return two matrices that write all states from the old ones, and from ``more`` new ones that begin at ``place``."""
+    """Return the matrices that write all states from the old ones and from ``more`` new ones, from ``place`` on."""
     old, new = np.split(np.eye(states + more), [states], axis=1)
     order = np.insert(np.arange(states), [place] * more, range(states, states + more))
     return old[order], new[order]
