@@ -33,7 +33,6 @@ from taciturn.cli.frame import (
     refuse,
     save_picture,
 )
-from taciturn.extend import number_of
 
 
 @app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
@@ -63,7 +62,7 @@ def tradeoff(
 ) -> None:
     """Compute cost and rate of a policy for several parameter values, with periodic control and the guarantee."""
     import taciturn
-    from taciturn.extend import answered_within
+    from taciturn.extend import answered_within, number_of
     from taciturn.problem.settings import parse_grid
     from taciturn.study.evaluate import choose_confidence
     from taciturn_studies.workers import processes

@@ -29,7 +29,6 @@ from taciturn.cli.frame import (
     refuse,
     save_picture,
 )
-from taciturn.extend import number_of
 
 if TYPE_CHECKING:
     import xarray
@@ -122,6 +121,7 @@ def sweep(
 
 def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
     """Return the error message for cells whose simulation ended before it settled or reached its standard error."""
+    from taciturn.extend import number_of
     from taciturn.simulation.sampling import MOST_OPERATIONS
 
     cells = [found.isel(dict(zip(found.sizes, place, strict=True))) for place in zip(*missed.nonzero(), strict=True)]

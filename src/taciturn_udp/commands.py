@@ -138,7 +138,7 @@ Key = Annotated[
     typer.Option(
         metavar="PATH",
         help="File with the keys of the packets, each 16 to 32 bytes in hexadecimal digits: one line KEY for "
-        "all links, or a line LINK: KEY for each link. The process reads a changed file again. Default: "
+        "all links, or a line LINK: KEY for each link. The process reads the file again when it changes. Default: "
         "the key in $TACITURN_KEY, or no key.",
     ),
 ]

@@ -44,7 +44,7 @@ class Served(AbstractContextManager["Served"]):
         self._thread.start()
         while not self._server.started:
             if not self._thread.is_alive():
-                raise RuntimeError("the server of the page has stopped during its start")
+                raise RuntimeError("the server of the page stopped while it was starting")
             time.sleep(0.002)
 
     def close(self) -> None:

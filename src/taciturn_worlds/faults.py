@@ -282,7 +282,7 @@ FAR = 1_000_000  # steps by which a recording of a long session is ahead
 
 @dataclass(frozen=True, repr=False)
 class Recording(Fault):
-    """An attack that sends recorded datagrams: all that were sent on a path before, in the same order."""
+    """A replay attack, which sends all datagrams again that were sent on a path before, in the same order."""
 
     path: Path  # sender and receiver
     # difference of the epoch of the recorded session from the present one, or 0 for the present session

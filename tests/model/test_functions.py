@@ -106,7 +106,7 @@ def test_a_function_that_cannot_be_traced_is_refused_when_the_loop_runs() -> Non
 def test_theory_of_linear_steps_is_not_claimed_of_a_function() -> None:
     """Neither a guarantee nor a certificate."""
     with pytest.raises(
-        ProblemError, match="computes command by a function, but its theory has guarantee, which holds for"
+        ProblemError, match="computes command with a Python function, but its theory states guarantee, which holds for"
     ):
         make(BEND, DECIDE, SEND, INPUT, theory=Theory(COST, guarantee=Guarantee(1.0, "a claim", "gommans2017")))
     loop = close(PLANT, make(BEND, DECIDE, SEND, INPUT), None, COST)

@@ -117,7 +117,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"covariance": [[1.0]]}, "initial.covariance has shape (1, 1); expected the shape (2, 2) = (states, states)"),
     ({"covariance": -np.eye(2)}, "initial.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
     ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,), but the plant has one input; expected the shape (1,)"),
-    ({"input_limit": [0.0]}, "input_limit is 0; expected positive limits (omit it for no limit)"),
+    ({"input_limit": [0.0]}, "input_limit is 0; expected positive numbers (omit this key if there is no limit)"),
     ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1 entry, one for each input"),
     (
         {"input_limit": [[1.0, 1.0]]},
@@ -126,7 +126,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"input_limit": [[1.0, 2.0, 3.0]]}, "input_limit[0] is [1.0, 2.0, 3.0]; expected a positive number, or [low"),
     ({"input_limit": [[np.inf, np.inf]]}, "input_limit[0] is [inf, inf]; expected a positive number, or [low, high]"),
     ({"input_limit": [[np.nan, 1.0]]}, "input_limit[0] is [nan, 1.0]; expected a positive number, or [low, high]"),
-    ({"input_rate": [0.0]}, "input_rate is 0; expected positive limits (omit it for no limit)"),
+    ({"input_rate": [0.0]}, "input_rate is 0; expected positive numbers (omit this key if there is no limit)"),
     ({"input_rate": [1.0, 1.0]}, "input_rate has shape (2,); expected the shape (1,) = (inputs,)"),
     (
         {**GROWING, "B": [[1.0], [0.0]]},

@@ -253,7 +253,7 @@ class InputSteps(Displayed):
 
     @property
     def held(self) -> Mapping[str, Array]:
-        """The applied input of the plant, as a sum of signals of the controller."""
+        """The input that the actuators apply, as a sum of signals of the controller."""
         unit = np.eye(self.certainty.problem.plant.inputs)
         return {f"held_{node}": unit[:, rows] for node, (_, rows) in self._actuators.items()}
 

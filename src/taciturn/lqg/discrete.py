@@ -316,7 +316,7 @@ class Discrete(Displayed):
         return ~self.lasting if self.source is not None and self.source.exosystem is not None else self.moving
 
     def weight(self, given: ArrayLike | None = None) -> Array:
-        """Extend a weighting matrix of the user's states (default: identity) by zeros for the registers, (n, n).
+        """Extend a weighting matrix of the user's states (default: identity) to (n, n), with zeros for the registers.
 
         Raises:
             ProblemError: the weight has another size, or is not positive semidefinite.

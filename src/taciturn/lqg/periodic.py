@@ -77,8 +77,8 @@ def lift(
         return sampled(build, n + m)
     except ProblemError:
         raise ProblemError(
-            f"every = {every}, and in so many steps the state overflows; expected a smaller value: hold the input for "
-            "fewer steps"
+            f"every = {every}, and within that many steps the state overflows; expected a smaller value: hold the "
+            "input for fewer steps"
         ) from None
 
 

@@ -98,7 +98,7 @@ def positive(name: str, value: ArrayLike, inputs: int) -> Array:
     finite = [entry if kept else 1.0 for entry, kept in zip(entries, limited, strict=True)]
     found = array(name, finite if np.ndim(cast("Any", value)) else value, (inputs,), "(inputs,)")
     if (found <= 0).any():
-        raise ProblemError(f"{name} is {found.min():g}; expected positive limits (omit it for no limit)")
+        raise ProblemError(f"{name} is {found.min():g}; expected positive numbers (omit this key if there is no limit)")
     return frozen(np.where(limited, found, np.inf))
 
 

@@ -334,8 +334,8 @@ class Theory(Displayed):
         others = [name for name in computed if name not in self.functions]
         if claims and others:
             raise ProblemError(
-                f"the policy {kind} computes {others[0]} by a function, but its theory has {claims[0]}, which holds "
-                f"for linear steps only; expected no {claims[0]}"
+                f"the policy {kind} computes {others[0]} with a Python function, but its theory states {claims[0]}, "
+                f"which holds for linear steps only; expected no {claims[0]}"
             )
 
 

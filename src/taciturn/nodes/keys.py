@@ -2,7 +2,8 @@
 
 A file contains one line ``LINK: KEY`` for each link that a process uses, with hexadecimal digits, or one line ``KEY``
 for all links. A line may contain several keys: the first authenticates the packets that the process sends, and the
-process accepts packets of all of them. A process reads a changed file again, so that keys change without a stop.
+process accepts packets of all of them. A process reads the file again when it changes, so keys
+change without a stop.
 """
 
 from __future__ import annotations

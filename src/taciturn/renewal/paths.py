@@ -242,7 +242,7 @@ LOOKED = 16  # checks from which the mean interval is estimated roughly
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathAnswer(Displayed):
-    """Send rate, excess cost and intervals of an error, estimated by conditional sampling."""
+    """Send rate, excess cost and intervals between sends, estimated by conditional sampling of an error."""
 
     rate: Estimate  # sends per check
     excess: Estimate  # mean cost per check, E[(1−σ) e'Γe]

@@ -640,7 +640,7 @@ class Weighed(Displayed):
 
     @property
     def ratio(self) -> Array | None:
-        """The value of silence over its threshold, or None if the threshold is often not positive."""
+        """The value of silence divided by its threshold, or None if many thresholds are not positive."""
         allowed = 0.0 if self.allowed is None else self.allowed
         value, threshold = self.silent + allowed, self.sending + allowed
         if (threshold < 0).any() or (threshold > 0).mean() <= MOST:
