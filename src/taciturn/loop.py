@@ -492,7 +492,8 @@ def close(
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     assumed = policy.disturbance
-    without = (policy.model.alone or policy.model).stated - policy.model.inputs  # the states without this disturbance
+    # the states without this disturbance and without set-points, with which no other external signals are used
+    without = policy.model.stated - policy.model.set_points - policy.model.inputs
     if assumed is not None and plant.states == without:
         plant = assumed.added_to(plant, cost.mission)
     if assumed is not None and len(cost.Q) == without:

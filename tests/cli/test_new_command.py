@@ -306,7 +306,7 @@ def test_the_kinds_that_are_listed_are_those_that_can_be_designed(dt: float, mor
 def test_losses_that_no_policy_bears_are_asked_for_again(ask: Ask) -> None:
     """With the other parts of the problem, if no policy is left; else another policy is asked for."""
     wired = ("discrete", "0.5", "1.1", "1", "all", "0", "0.3", "gain", "0.5")
-    told = ask((*wired, "losses", "0.1", "0.2", "no", "losses", "0.1", "0", "no", "periodic", "1", "0.2"), patient=True)
+    told = ask((*wired, "losses", "0.1", "0.2", "no", "losses", "0.1", "0", "no", "lqg", "1", "0.2"), patient=True)
     assert told.code == 0
     words = " ".join(told.out.split())
     assert (
@@ -314,7 +314,7 @@ def test_losses_that_no_policy_bears_are_asked_for_again(ask: Ask) -> None:
         in words
     )
     assert (
-        "the policy kind 'periodic' cannot use a controller of your own; expected another kind, such as 'excess'"
+        "the policy kind 'lqg' cannot use a controller of your own; expected another kind, such as 'excess'"
         in words
     )
     problem = taciturn.load("new.toml")

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
-from everything.kept import Given, given_of
+from everything.kept import Follows, Given, following, given_of
 from everything.laws import Channel, Law, Nodes
 from everything.plain import Array, Model, NotModelledError, World, block, kalman, root_of
 from everything.policies import Certainty, quadratic
@@ -50,44 +49,6 @@ def value(F: Array, C: Array, G: Array) -> Array:
     return both.T @ P @ both
 
 
-@dataclass(frozen=True, eq=False)
-class Follows:
-    """How the controller uses set-points: their effect on its state, and on the command."""
-
-    B: Array
-    D: Array
-
-
-def following(tables: Tables, model: Model, given: Given, h: float) -> Follows:
-    """Return the use of set-points by a given controller: each is compared with an output."""
-    table, rows = tables["controller"], np.zeros((len(model.C), model.s))
-    outputs = tables["reference"].get("outputs")
-    stated = np.array(tables["plant"]["C"], dtype=float)
-    for place in range(model.s):
-        same = [place] if outputs is None else [
-            i for i, row in enumerate(stated) if np.array_equal(row, np.array(outputs[place], dtype=float))
-        ]  # fmt: skip
-        if not same:
-            raise NotModelledError("a set-point of no output")
-        rows[same[0], place] = 1.0
-    if "pid" not in table:
-        return Follows(-given.B @ rows, -given.D @ rows)
-    sign = 1.0 if table.get("sign", "negative") == "positive" else -1.0
-    many = table["pid"] if isinstance(table["pid"], list) else [table["pid"]]
-    D, B = np.zeros((model.m, len(rows))), list[Array]()
-    for one in many:  # u = sign · (kp (y − b r) + ki Σ(y − r) + kd d(y − c r)/dt)
-        i, o = one.get("input", 1) - 1, np.eye(len(rows))[one.get("output", 1) - 1]
-        kp, kd = (sign * one.get(key, 0.0) for key in ("kp", "kd"))
-        D[i] -= kp * one.get("b", 1.0) * o
-        if one.get("ki", 0.0):
-            B.append(-h * o)
-        if kd:
-            B.append(-h / one["filter"] * one.get("c", 0.0) * o)
-            D[i] -= kd / one["filter"] * one.get("c", 0.0) * o
-    moved = np.array(B).reshape(len(given.A), len(rows)) - given.E @ D  # E has the applied input, and not the command
-    return Follows(moved @ rows, D @ rows)
-
-
 class Loop:
     """Plant and controller that send every sample, with errors d = (d_y, d_u); w = (z, slow disturbance, c)."""
 
@@ -100,11 +61,9 @@ class Loop:
         h = model.seconds if model.continuous else float(tables["plant"]["dt"])
         if "controller" in tables:
             given = given_of(tables, model, h)
-            follows = Follows(np.zeros((len(given.A), 0)), np.zeros((m, 0)))
             if model.q:
                 raise NotModelledError("a given controller with disturbances")
-            if model.s:
-                follows = following(tables, model, given, h)
+            follows = following(tables, model, given, h)
             self.pole, self.deviation = given.pole, given.deviation
             self.lqg = None
         else:

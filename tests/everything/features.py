@@ -594,6 +594,18 @@ def per_second(draft: Draft) -> None:
     table |= {"A": [[-2.0]], "B": [[2.0] + [0.0] * (draft.outputs - 1)], "method": "tustin"}
 
 
+def inputs_for_set_points(draft: Draft) -> None:
+    """Give a controller that integrates inputs for the set-point of its output."""
+    table = draft.tables.get("controller", {})
+    if not table.get("A") or "method" in table or "E" in table or "reference" not in draft.tables:
+        raise Elsewhere
+    if len(follow(draft).get("outputs", draft.plant["C"])) > 1:
+        raise Elsewhere
+    B = 0.2 * np.atleast_2d(table["B"])  # the integral of the output minus its set-point
+    G = 0.1 * draft.rng.standard_normal((draft.inputs, 1))
+    table |= {"A": [[1.0]], "B": rows(B), "F": rows(-B[:, :1]), "G": rows(G)}
+
+
 def in_controller(**keys: object) -> Callable[[Draft], None]:
     """Add keys to [controller]."""
 
@@ -801,6 +813,7 @@ def features() -> list[Feature]:
         "positive sign": ("controller", linear(dynamic=True, positive=True)),
         "controller per second": ("method", per_second),
         "controller's set-point": ("raised", raised),
+        "inputs for set-points": ("set-point inputs", inputs_for_set_points),
         "weights of the set-point": ("weights of r", in_pid(b=0.5, c=0.2)),
         "tracking time": ("tracking", in_pid(tracking_time=5.0)),
         "start input": ("start input", in_pid(start_input=0.5)),

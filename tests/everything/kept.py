@@ -1,9 +1,11 @@
 """Controllers that a user keeps, LQG over links that drop packets, and slower bases: ``excess`` and ``send-on-delta``.
 
-The state of the loop is w = (x, d, c, y, h): plant, slow disturbances at the inputs, controller, measurement, and the
-value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a, M_a for a packet that
-arrives and F_s, M_s for silence, X_f(P) = M_f + F_f'PF_f, the loop that always attempts has the value P, and silence
-costs E[w'Ψw], Ψ = (1 − p)(X_s − X_a), more. LQG is the controller whose state is the prediction of its observer.
+The state of the loop is w = (x, d, c, y, r, h): plant, slow disturbances at the inputs, controller, measurement,
+set-points, and the value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a,
+M_a for a packet that arrives and F_s, M_s for silence, X_f(P) = M_f + F_f'PF_f, the loop that always attempts has the
+value P, and silence costs E[w'Ψw], Ψ = (1 − p)(X_s − X_a), more. Known changes m_k of a timetable make the value w'Pw +
+2v_k'w with v_k = F_a'(P m_k + v_{k+1}), so silence costs 2w'(F_s − F_a)'(P m_k + v_{k+1}) besides. LQG is the
+controller whose state is the prediction of its observer.
 """
 
 from __future__ import annotations
@@ -98,6 +100,51 @@ def given_of(tables: Tables, model: Model, h: float) -> Given:
     return Given(A, B, C, D, E, float(np.exp(-h / stated.get("time_constant", 1000 * h))), deviation)
 
 
+@dataclass(frozen=True, eq=False)
+class Follows:
+    """How the controller uses set-points: their effect on its state, and on the command."""
+
+    B: Array
+    D: Array
+
+
+def following(tables: Tables, model: Model, given: Given, h: float) -> Follows:
+    """Return the use of set-points by a given controller: it has inputs for them, or compares each with an output."""
+    table, rows = tables["controller"], np.zeros((len(model.C), model.s))
+    if "F" in table or "G" in table:
+        if "method" in table:
+            raise NotModelledError("inputs for set-points of a controller in continuous time")
+        F = np.array(table.get("F", np.zeros((len(given.A), model.s))), dtype=float).reshape(len(given.A), model.s)
+        return Follows(F, np.array(table.get("G", np.zeros((model.m, model.s))), dtype=float))
+    if not model.s:
+        return Follows(np.zeros((len(given.A), 0)), np.zeros((model.m, 0)))
+    outputs = tables["reference"].get("outputs")
+    stated = np.array(tables["plant"]["C"], dtype=float)
+    for place in range(model.s):
+        same = [place] if outputs is None else [
+            i for i, row in enumerate(stated) if np.array_equal(row, np.array(outputs[place], dtype=float))
+        ]  # fmt: skip
+        if not same:
+            raise NotModelledError("a set-point of no output")
+        rows[same[0], place] = 1.0
+    if "pid" not in table:
+        return Follows(-given.B @ rows, -given.D @ rows)
+    sign = 1.0 if table.get("sign", "negative") == "positive" else -1.0
+    many = table["pid"] if isinstance(table["pid"], list) else [table["pid"]]
+    D, B = np.zeros((model.m, len(rows))), list[Array]()
+    for one in many:  # u = sign · (kp (y − b r) + ki Σ(y − r) + kd d(y − c r)/dt)
+        i, o = one.get("input", 1) - 1, np.eye(len(rows))[one.get("output", 1) - 1]
+        kp, kd = (sign * one.get(key, 0.0) for key in ("kp", "kd"))
+        D[i] -= kp * one.get("b", 1.0) * o
+        if one.get("ki", 0.0):
+            B.append(-h * o)
+        if kd:
+            B.append(-h / one["filter"] * one.get("c", 0.0) * o)
+            D[i] -= kd / one["filter"] * one.get("c", 0.0) * o
+    moved = np.array(B).reshape(len(given.A), len(rows)) - given.E @ D  # E has the applied input, and not the command
+    return Follows(moved @ rows, D @ rows)
+
+
 def observer(model: Model, every: int = 1, gains: str = "lqg", law: Law | None = None, silence: str = "hold") -> Given:
     """Return LQG as a controller whose state is the prediction of its observer."""
     n = model.n
@@ -150,6 +197,9 @@ def gain_for_losses(A: Array, B: Array, Q: Array, R: Array, N: Array, loss: floa
     raise NotModelledError("gains for losses that do not settle")
 
 
+CYCLES = 60  # of a timetable, after which a loop is taken to repeat itself
+
+
 class Base:
     """The loop that always attempts, and what silence costs more.
 
@@ -162,29 +212,35 @@ class Base:
         every: steps between the packets of the base.
     """
 
-    def __init__(self, model: Model, given: Given, link: str, silence: str, law: Law, every: int) -> None:
+    def __init__(
+        self, model: Model, given: Given, link: str, silence: str, law: Law, every: int, follows: Follows | None = None
+    ) -> None:
         """Compute value, cost and advantage."""
         n, m, p, k = model.n, model.m, len(model.C), len(given.A)
         q = m if given.deviation is not None else 0
-        self.sizes = (n, q, k, p, m if link == "actuator" else p)
+        s = 0 if follows is None else model.s
+        follows = follows or Follows(np.zeros((k, 0)), np.zeros((m, 0)))
+        self.sizes = (n, q, k, p, s, m if link == "actuator" else p)
         A, B, C = model.A[:n, :n], model.B[:n], model.C[:, :n]
         B_d = model.pushing[:n, :q]
         size = sum(self.sizes)
-        x, d, c, y, h = np.split(np.eye(size), np.cumsum(self.sizes)[:-1])  # rows that pick a part of w
+        x, d, c, y, r, h = np.split(np.eye(size), np.cumsum(self.sizes)[:-1])  # rows that pick a part of w
+        X, U = (place @ r if s else 0.0 for place in (model.X, model.U))
 
         def loop(used: Array) -> tuple[Array, Array]:
             """Return F and M if the receiver uses a combination of w."""
-            u = used if link == "actuator" else given.C @ c + given.D @ used
+            u = used if link == "actuator" else given.C @ c + given.D @ used + follows.D @ r
             seen = y if link == "actuator" else used
             moved = A @ x + B @ u + (B_d @ d if q else 0.0)
-            F = np.vstack([moved, given.pole * d, given.A @ c + given.B @ seen + given.E @ u, C @ moved, used])
-            joint = np.vstack([x, u + d if q else u, u])
+            kept = given.A @ c + given.B @ seen + given.E @ u + follows.B @ r
+            F = np.vstack([moved, given.pole * d, kept, C @ moved, r, used])
+            joint = np.vstack([x - X, (u + d if q else u) - U, u - U])
             return F, joint.T @ model.pushed @ joint
 
-        sent = given.C @ c + given.D @ y if link == "actuator" else y
+        sent = given.C @ c + given.D @ y + follows.D @ r if link == "actuator" else y
         self.arrives, self.silent = loop(sent), loop(h if silence != "zero" else np.zeros_like(h))
         V = np.zeros((p, p)) if model.V is None else model.V
-        spread = np.vstack([np.eye(n), np.zeros((q + k, n)), C, np.zeros((self.sizes[4], n))])
+        spread = np.vstack([np.eye(n), np.zeros((q + k, n)), C, np.zeros((s + self.sizes[5], n))])
         self.noise = spread @ model.W[:n, :n] @ spread.T
         at = np.arange(n, n + q)
         if q:
@@ -192,9 +248,38 @@ class Base:
             self.noise[at, at] += given.deviation**2 * (1 - given.pole**2)
         place = n + q + k
         self.noise[place : place + p, place : place + p] += V
+        self.known = slice(place + p, place + p + s)
+        if s and model.changes.root is not None:
+            self.noise[self.known, self.known] += model.changes.rate * model.changes.root @ model.changes.root
         self.law, self.every, self.model = law, every, model
         self._value()
         self.exact = self.cost + model.rest
+        self.slopes = np.zeros((1, size))
+        if s and model.changes.levels is not None:
+            if law.lossy or every > 1:
+                raise NotModelledError("a timetable over losses, or with a slower base")
+            self._timetable(model.changes.levels)
+
+    def _timetable(self, levels: Array) -> None:
+        """Add what known changes cost, and the slopes of silence before them."""
+        count = len(levels)
+        moves = np.zeros((count, len(self.noise)))
+        moves[:, self.known] = np.roll(levels, -1, axis=0) - levels
+        F, M = self.arrives
+        w = np.zeros(len(F))
+        w[self.known] = levels[0]
+        for k in range(CYCLES * count):
+            if k == (CYCLES - 1) * count:
+                before = self.exact
+            if k >= (CYCLES - 1) * count:
+                self.exact += float(w @ M @ w) / count
+            w = F @ w + moves[k % count]
+        assert self.exact >= before - 1e-12 * abs(before)
+        value, self.slopes = np.zeros(len(F)), np.zeros((count, len(F)))
+        for k in reversed(range(CYCLES * count)):
+            ahead = self.P[0, 0] @ moves[k % count] + value
+            value = F.T @ ahead
+            self.slopes[k % count] = 2 * (self.silent[0] - F).T @ ahead
 
     def _value(self) -> None:
         law, size = self.law, len(self.noise)
@@ -240,22 +325,26 @@ class KeptPolicy:
     def __init__(
         self, model: Model, given: Given, *, link: str, silence: str, law: Law, rule: str, level: float,
         every: int = 1, retry: bool = False, always: bool = False, told: bool = True, base: Base | None = None,
-        watched: bool = True,
+        watched: bool = True, follows: Follows | None = None, cycle: tuple[int, ...] = (1,),
     ) -> None:  # fmt: skip
         """Keep everything.
 
         Args:
             model, given, link, silence, law, every, retry: as in the file.
-            rule: "cost" or "band".
+            rule: "cost", "band" or "clock".
             level: δ, or Δ.
+            cycle: intervals between the packets of a clock.
             always: whether every sample is attempted.
             told: whether the sender learns what arrived; otherwise it assumes that everything does.
             base: the loop that always attempts.
             watched: whether large innovations raise an alarm.
+            follows: the use of set-points by the controller.
         """
+        self.follows = follows or Follows(np.zeros((len(given.A), 0)), np.zeros((model.m, 0)))
         self.model, self.given, self.silence, self.law = model, given, silence, law
         self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
+        self.sends = [k == 0 for steps in cycle for k in range(steps)]
         self.always, self.told, self.base = always, told, base
         self.precision: Array | None = None  # of the innovations, whose squares raise an alarm
         # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
@@ -282,7 +371,7 @@ class KeptPolicy:
         filtered = (np.eye(len(self.F)) - self.G @ self.C) @ self.F
         parts = [filtered]
         if base is not None:  # slow disturbances begin with their stationary distribution
-            rest = np.delete(np.arange(len(base.noise)), np.arange(n, n + q))
+            rest = np.delete(np.arange(len(base.noise)), [*range(n, n + q), *range(base.known.start, base.known.stop)])
             parts.append(base.arrives[0][np.ix_(rest, rest)])
         modes = np.concatenate([np.linalg.eigvals(part) for part in parts])
         modes = modes[np.abs(modes - given.pole) > 1e-9]  # the disturbance begins in its stationary distribution
@@ -297,6 +386,7 @@ class KeptPolicy:
         self.h = np.zeros((paths, size))  # what the sender takes the receiver to use in silence
         self.real = self.h.copy()  # what it uses
         self.copy = np.zeros((paths, len(self.F) + len(given.A)))  # plant and controller at the receiver
+        self.copied = np.zeros((paths, self.follows.D.shape[1]))  # set-points there
         self.channel = Channel(self.law, paths, rng)
         self.belief = np.tile(self.law.stationary, (paths, 1))
         self.missed = np.zeros(paths, dtype=bool)
@@ -310,16 +400,20 @@ class KeptPolicy:
         """Make a step; a slow disturbance is added to the input that the plant gets, and moves here."""
         given, size = self.given, len(self.F)
         estimate = self.prior + (y - self.prior @ self.C.T) @ self.G.T
-        command = self.c @ given.C.T + y @ given.D.T
+        r = r[:, : self.follows.D.shape[1]]
+        read, taken = r @ self.follows.D.T, r @ self.follows.B.T
+        command = self.c @ given.C.T + y @ given.D.T + read
         sent = command if self.side == "actuator" else y
         if self.silence == "model":
             inner, outer = self.copy[:, :size], self.copy[:, size:]
             seen = inner @ self.C.T
-            self.h = outer @ given.C.T + seen @ given.D.T if self.side == "actuator" else seen
+            self.h = seen
+            if self.side == "actuator":
+                self.h = outer @ given.C.T + seen @ given.D.T + self.copied @ self.follows.D.T
             self.real = self.h
         elif self.silence == "zero":
             self.h, self.real = np.zeros_like(self.h), np.zeros_like(self.real)
-        wants = self._wants(k, estimate, y, sent)
+        wants = self._wants(k, estimate, y, r, sent)
         wants = np.ones_like(wants) if self.always else wants | (self.missed & self.retry)
         sends = self.channel.allowed(wants)
         arrived = self.channel.arrives(sends) if self.law.lossy else sends
@@ -329,10 +423,11 @@ class KeptPolicy:
         if self.side == "actuator":
             u, seen, thought = used, y, believed
         else:
-            u, seen, thought = self.c @ given.C.T + used @ given.D.T, used, self.c @ given.C.T + believed @ given.D.T
+            own = self.c @ given.C.T + read
+            u, seen, thought = own + used @ given.D.T, used, own + believed @ given.D.T
         if self.silence == "model":
-            self._copy(known, estimate, y, u)
-        self.c = self.c @ given.A.T + seen @ given.B.T + thought @ given.E.T
+            self._copy(known, estimate, y, r, u)
+        self.c = self.c @ given.A.T + seen @ given.B.T + thought @ given.E.T + taken
         self.prior = estimate @ self.F.T + thought @ self.B.T
         self.h, self.real, self.missed = believed, used, sends & ~arrived
         applied = u + self.d if self.q else u
@@ -347,13 +442,16 @@ class KeptPolicy:
         """Return the noise of the slow disturbance, from numbers that a twin shares."""
         return self.shared.standard_normal((paths, self.q))
 
-    def _wants(self, k: int, estimate: Array, y: Array, sent: Array) -> Array:
+    def _wants(self, k: int, estimate: Array, y: Array, r: Array, sent: Array) -> Array:
+        if self.rule == "clock":
+            return np.full(len(y), self.sends[k % len(self.sends)])
         if self.rule == "band":
             return (np.abs(sent - self.h) > self.level).any(axis=1)
         assert self.base is not None
-        w = np.hstack([estimate, self.c, y, self.h])
-        psi = self.base.psi[k % self.every]
-        return (np.einsum("pa,aij,pi,pj->p", self.belief, psi, w, w) > self.level) | self._alarm(y)
+        w = np.hstack([estimate, self.c, y, r, self.h])
+        psi, slopes = self.base.psi[k % self.every], self.base.slopes
+        cost = np.einsum("pa,aij,pi,pj->p", self.belief, psi, w, w) + w @ slopes[k % len(slopes)]
+        return (cost > self.level) | self._alarm(y)
 
     def _alarm(self, y: Array) -> Array:
         """Tell where the average square of the innovations is beyond what noise explains; then every sample is sent."""
@@ -372,43 +470,50 @@ class KeptPolicy:
         belief = np.where(sends[:, None], self.belief * seen, self.belief)
         self.belief = belief / belief.sum(axis=1, keepdims=True) @ law.moves
 
-    def _copy(self, arrived: Array, estimate: Array, y: Array, u: Array) -> None:
+    def _copy(self, arrived: Array, estimate: Array, y: Array, r: Array, u: Array) -> None:
         """Let the receiver go on with plant and controller, from the packet if one arrived."""
         given, size = self.given, len(self.F)
         inner = np.where(arrived[:, None], estimate, self.copy[:, :size])
         outer = np.where(arrived[:, None], self.c, self.copy[:, size:])
         seen = np.where(arrived[:, None], y, self.copy[:, :size] @ self.C.T)
-        new_outer = outer @ given.A.T + seen @ given.B.T + u @ given.E.T
+        self.copied = np.where(arrived[:, None], r, self.copied)
+        new_outer = outer @ given.A.T + seen @ given.B.T + u @ given.E.T + self.copied @ self.follows.B.T
         self.copy = np.hstack([inner @ self.F.T + u @ self.B.T, new_outer])
 
 
 def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy, KeptPolicy | None]:
-    """Return ``excess`` or ``send-on-delta`` with a controller, losses or options of a given base, and its twin."""
+    """Return a kind that keeps a controller, or ``excess`` over losses or with a given base, and its twin."""
     policy = tables["policy"]
     kind, silence = policy["kind"], policy.get("actuation", "hold")
     link = policy.get("link", "sensor" if kind == "send-on-delta" else "actuator")
     if not model.average:
         raise NotModelledError("a kept controller over a horizon")
-    if model.q or model.s:
-        raise NotModelledError("a kept controller with disturbances or changing set-points")
+    if model.q or (model.s and "controller" not in tables):
+        raise NotModelledError("a kept controller with disturbances, or LQG of this kind with set-points")
     law = nodes.laws.get(link, Law())
-    every = policy.get("every", 1)
+    every = 1 if kind == "periodic" else policy.get("every", 1)
     h = model.seconds if model.continuous else float(tables["plant"]["dt"])
     told = law.acknowledged or not law.lossy
     design = law if told else Law(least=law.least, most=law.most)
     if silence == "model" and ((law.lossy and told) or every > 1):  # a base that predicts too
         raise NotModelledError("a model over losses, or with a slower base")
+    follows = None
     if "controller" in tables:
         given = given_of(tables, model, h)
+        follows = following(tables, model, given, h)
     else:
         given = observer(model, every, policy.get("gains", "lqg"), design, silence)
-    base = Base(model, given, link, "hold" if silence == "model" else silence, design, every)
+    base = Base(model, given, link, "hold" if silence == "model" else silence, design, every, follows)
+    cycle = policy.get("every", 1) if kind == "periodic" else 1
     if kind == "send-on-delta":
         rule, level = "band", float(policy["delta"])
+    elif kind in ("all-time", "periodic"):
+        rule, level = "clock", 0.0
     else:
         level = float(policy["delta"]) if "delta" in policy else policy["theta"] * (base.exact - model.rest)
         rule = "cost"
-    keys: dict[str, Any] = {"link": link, "silence": silence, "law": law, "rule": rule, "every": every, "told": told}
+    keys: dict[str, Any] = {"link": link, "silence": silence, "law": law, "rule": rule, "every": every, "told": told,
+                            "follows": follows, "cycle": tuple(np.atleast_1d(cycle).tolist())}  # fmt: skip
     keys["retry"] = policy.get("retry", False)
     plain = link == "actuator" and every == 1 and silence != "zero" and not (law.lossy and told)
     keys["watched"] = "controller" in tables or not plain  # LQG alone needs no alarm
@@ -437,7 +542,7 @@ def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array, Array]:
         S = new
     n, before, m = model.n, model.before, model.m
     C = np.hstack([model.C[:, : n - before], np.zeros((len(model.C), before))])
-    _, _, c, y, _ = np.split(np.eye(size), np.cumsum(base.sizes)[:-1])
+    _, _, c, y, _, _ = np.split(np.eye(size), np.cumsum(base.sizes)[:-1])
     seen = np.hstack([C, np.zeros((len(C), size - n))]) + model.D @ (given.C @ c + given.D @ y)  # with the new input
     one = np.diag(1 / np.diag(seen @ S @ seen.T))
     R = np.diag(1 / np.diag(S[-m:, -m:])) + model.D.T @ one @ model.D

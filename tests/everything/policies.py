@@ -372,7 +372,7 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
     linked = [name for name in nodes.actuators if name in nodes.laws]
     if kind in ("distributed", "variance") or (kind == "send-on-delta" and (nodes.named or "controller" not in tables)):
         return node_policy(tables, model, nodes, all_time)
-    keeps = kind in ("excess", "send-on-delta")
+    keeps = kind in ("excess", "send-on-delta") or ("controller" in tables and kind in ("all-time", "periodic"))
     if not keeps and ("controller" in tables or nodes.lossy):
         raise NotModelledError(f"a controller or losses with {kind}")
     options = {"every", "gains", "retry", "link"} & set(policy) if keeps else set()

@@ -112,6 +112,7 @@ REQUIRED: Mapping[str, str] = {
     "lossy probes": "link probe", "rounded probes": "link probe", "energy of probes": "link probe",
     "unacknowledged": "nodes", "lossy valves": "link valve", "bursty valves": "link valve", "prices": "link valve",
     "shares": "nodes", "weights of the set-point": "pid", "tracking time": "pid", "start input": "pid",
+    "inputs for set-points": "reference",
     "no drift": "controller", "stated drift": "controller", "weights as the controller": "controller",
     "controller's set-point": "controller", "controller per second": "linear",
     "bank": "every path", "relative bank": "every path", "relative bank of a share": "every path",
@@ -123,7 +124,7 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
     "two sensors": ("two outputs",), "two wired sensors": ("two outputs",), "two actuators": ("two inputs",),
     "actuators of a wired sensor": ("two inputs",), "four nodes": ("two outputs", "two inputs"),
-    "weights of the set-point": ("controller's set-point",), "controller per second": ("linear controller",),
+    "inputs for set-points": ("linear controller",), "controller per second": ("linear controller",),
     "kind lossy-lqg": ("measured state",), "kind consistent": ("continuous", "measured state"),
     "kind integral": ("continuous", "measured state"), "kind optimal": ("measured state",),
     "kind event-pid": ("PID",), "kind event-pid-saturated": ("PID",),
@@ -140,12 +141,15 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "losses": ("lossy-lqg", "distributed", "excess"), "acknowledged losses": ("excess", "lossy-lqg"),
     "acknowledged losses of sensors": ("excess", "lossy-lqg"), "bursts": ("excess", "lossy-lqg"),
     "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
-    "delay": ("lossy-lqg",), "proportional and integral": ("excess", "send-on-delta", "distributed"),
-    "PID": ("excess", "event-pid", "distributed"), "proportional": ("excess", "send-on-delta", "distributed"),
-    "gain": ("excess", "send-on-delta", "distributed"),
-    "linear controller": ("excess", "send-on-delta", "distributed"),
-    "linear controller that is told": ("excess", "send-on-delta", "distributed"),
-    "positive sign": ("excess", "send-on-delta", "distributed"), "predicted probes": ("distributed",),
+    "delay": ("lossy-lqg",),
+    "proportional and integral": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "PID": ("excess", "event-pid", "distributed", "all-time", "periodic"),
+    "proportional": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "gain": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "linear controller": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "linear controller that is told": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "positive sign": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
+    "predicted probes": ("distributed",),
     "joint": ("distributed",), "shares": ("distributed", "send-on-delta"),
     "sensor decides": ("excess", "send-on-delta"), "actuator link": ("send-on-delta", "excess"),
     "slower base": ("excess",), "gains for losses": ("excess",), "retry": ("excess",), "separate trigger": ("lqg",),
@@ -158,7 +162,7 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 FOLLOWED = frozenset({"changes", "outputs to follow"})
-"""Groups of what a given controller has with the kind ``distributed`` alone."""
+"""Groups of what a given controller has with some kinds only."""
 
 
 def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]:
@@ -180,7 +184,7 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
                 add(partner)
     groups = {known[name].group for name in found}
     if "controller" in groups and groups & FOLLOWED:
-        add("kind distributed")
+        add(f"kind {rng.choice(['distributed', 'excess', 'send-on-delta', 'all-time', 'periodic'])}")
     wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
     if wishes:
         add(f"kind {rng.choice(wishes)}")

@@ -34,6 +34,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import balancing, radius
 from taciturn._rational import Limit, unmoved_and_seen
+from taciturn._text import number_of
 from taciturn.base.certainty import design_certainty, error_per_unit
 from taciturn.base.filter import HELD
 from taciturn.base.gains import price_control
@@ -113,8 +114,7 @@ def disturbed(
     SIMULATED.check(controller)
     if not cost.mission:  # over a finite horizon, no mode has to decay
         _expect_moved(controller)
-    if plant.exosystem is not None:
-        controller = following(kept, controller, _followed(plant, controller))
+    controller = followed_by(plant, kept, controller)
     disturbance = controller.expected
     if disturbance is not None:
         disturbance = disturbance.completed(plant, period)
@@ -143,15 +143,16 @@ def _has_set_point(kept: AnyController) -> bool:
     return any(one.setpoint for one in pids_of(kept))
 
 
-def _followed(plant: Plant | ContinuousPlant, controller: Controller) -> list[int]:
-    """Return the measured output that each set-point is for, where a given controller follows set-points."""
+def followed_by(plant: Plant | ContinuousPlant, kept: AnyController, controller: Controller) -> Controller:
+    """Return a discretised controller that also reads the set-points of the plant, if the plant has any."""
     own = plant.exosystem
-    assert own is not None
+    if own is None:
+        return controller
     if own.changes is None or len(own.S) > len(own.outputs) or own.E.any() or own.G.any():
         raise ProblemError(
             "the plant has disturbances, or set-points that never change, which a given controller does not use; "
-            "expected the keys 'disturbance' and 'setpoint' of the controller, or set-points that change "
-            "(reference.steps or reference.file)"
+            "expected the key 'disturbance' of the controller, and set-points that an operator may change: "
+            "RandomSteps(rate=0, covariance) if they are constant until then"
         )
     if plant.D is not None:
         raise ProblemError(
@@ -159,16 +160,36 @@ def _followed(plant: Plant | ContinuousPlant, controller: Controller) -> list[in
             "measurements, which depend on the input of the previous step through D; expected no D, or LQG with "
             "guarantee = 'every path'"
         )
-    rows = list[int]()
-    for place, wanted in enumerate(own.outputs):
-        same = [i for i, row in enumerate(plant.C) if np.array_equal(row, wanted)]
-        if not same:
-            raise ProblemError(
-                f"row {place + 1} of reference.outputs is not a measured output, but a given controller compares its "
-                "set-points with measured outputs; expected rows of plant.C"
-            )
-        rows.append(same[0])
-    return rows
+    if controller.F is None or pids_of(kept):  # one column for each measurement
+        return following(controller, [_output_of(plant, place, row) for place, row in enumerate(own.outputs)])
+    if controller.F.shape[1] != len(own.outputs):
+        raise ProblemError(
+            f"controller.F and controller.G have {number_of(controller.F.shape[1], 'column')}, and there are "
+            f"{number_of(len(own.outputs), 'set-point')}; expected one column for each row of reference.outputs"
+        )
+    return following(controller, range(len(own.outputs)))
+
+
+def _output_of(plant: Plant | ContinuousPlant, place: int, wanted: Array) -> int:
+    """Return the measured output with which a given controller compares a set-point."""
+    for i, row in enumerate(plant.C):
+        if np.array_equal(row, wanted):
+            return i
+    raise ProblemError(
+        f"row {place + 1} of reference.outputs is not a measured output, but a given controller without F and G "
+        "compares its set-points with measured outputs; expected rows of plant.C, or controller.F and controller.G"
+    )
+
+
+def _expect_one_set_point(kept: AnyController, followed: bool) -> None:
+    """Raise an error if a controller weights a set-point but has none, or if it has two."""
+    if followed and _has_set_point(kept):
+        raise ProblemError("controller.setpoint and [reference] are both given; expected only one of them")
+    if not followed and any((one.b != 1.0 or one.c != 0.0) and not one.setpoint for one in pids_of(kept)):
+        raise ProblemError(
+            "pid.b or pid.c is given without pid.setpoint; expected a set-point, here or in [reference], or neither "
+            "pid.b nor pid.c"
+        )
 
 
 def lqg_observer(
@@ -232,7 +253,7 @@ def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest:
     if disturbance is None:
         return None
     modes = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K))
-    n, m = (plant.alone or plant).stated, plant.inputs
+    n, m = plant.stated - plant.set_points, plant.inputs
     # nothing moves the disturbances, so the loop has their decay per step as modes, up to rounding
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
     rest = np.delete(modes, slow)
@@ -266,6 +287,7 @@ def note_ringing(kept: AnyController, step: float) -> tuple[str, ...]:
 class GivenLoop(Displayed):
     """The loop of a plant and a given controller, with all signals as deviations from the equilibrium of the loop."""
 
+    stated: Plant | ContinuousPlant  # the plant as stated, before it is discretised
     kept: AnyController  # the controller as stated, its set-points relative to the operating point of the plant
     controller: Controller  # the controller at the step
     problem: Discrete  # the discrete-time problem of the deviations, with the slow disturbance
@@ -280,30 +302,20 @@ class GivenLoop(Displayed):
         period: float | None,
         kept: AnyController,
         lqg: bool = False,
-        follows: bool = False,
     ) -> GivenLoop:
-        """Return the loop of a given controller. The plant gets the disturbance that the controller compensates.
-
-        ``follows`` states whether the design gives the controller set-points that change.
-        """
-        if plant.exosystem is not None and not follows:
-            ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
-            who, expected = (
-                ("LQG with these options", f"the kind excess with {ideal}")
-                if lqg
-                else ("a given controller", f"its keys setpoint and disturbance, or LQG: the kind excess with {ideal}")
-            )
+        """Return the loop of a given controller. The plant gets the disturbance that the controller compensates."""
+        if plant.exosystem is not None and lqg:
             raise ProblemError(
-                f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
+                "the plant has disturbances or set-points, which LQG with these options does not use; expected the "
+                "kind excess with link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
             )
-        if plant.exosystem is not None and _has_set_point(kept):
-            raise ProblemError("controller.setpoint and [reference] are both given; expected only one of them")
+        _expect_one_set_point(kept, plant.exosystem is not None)
         kept = relative_to(kept, plant)
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = rest_of(problem, controller)
         if lqg and len(controller.A):  # its state predicts that of the plant
             point = replace(point, start=problem.plant.mean)
-        return GivenLoop(kept, controller, point.deviations(problem), point, disturbance, lqg)
+        return GivenLoop(plant, kept, controller, point.deviations(problem), point, disturbance, lqg)
 
     @cached_property
     def remedy(self) -> str:
@@ -321,14 +333,21 @@ class GivenLoop(Displayed):
         found = advantage(
             base, self.remedy, attempts_of(self.problem, base, (True,) * (self.problem.cost.horizon or 1))
         )
-        return found, cost_of_base(self.problem, found, self.point.start) + self._overlap(base, found.P)
+        overlap, _ = self.known_steps(base, found.P)
+        return found, cost_of_base(self.problem, found, self.point.start) + overlap
 
-    def _overlap(self, base: Base, P: Array) -> float:
-        """Return the cost per step by which set-points that change at known times exceed independent changes."""
-        # a change comes before the response to earlier ones has ended: changes m and m' after it cost 2 m'P F^k m more
+    def known_steps(self, base: Base, P: Array) -> tuple[float, Array | None]:
+        """Return what set-points that change at known times add to the cost, and the slopes of their cost of silence.
+
+        The first is the cost per step beyond that of independent changes, 0 for other set-points. The second, (steps,
+        c), is g_k of the cost of silence e'He + 2e'(slope z + g_k); None for other set-points.
+        """
+        # The value is z'Pz + 2h_k'z + a constant with h_k = F'(P m_k + h_{k+1}), where the known change moves z by m_k
+        # from step k to k + 1. So g_k = Γ'(P m_k + h_{k+1}). A change comes before the response to earlier ones has
+        # ended: with the state z_k that they cause, the cost exceeds that of independent changes by 2m_k'P F z_k.
         plant, closed = self.problem.plant, base.replaced[:, : len(base.Phi)]
         if not isinstance(plant.changes, SampledChanges):
-            return 0.0
+            return 0.0, None
         (n, p), table = (plant.states, plant.outputs), plant.changes.table
         which = slice(n - table.shape[1], n)
         moves, F = np.zeros((len(table), len(base.Phi))), base.Phi + base.Gamma @ base.K
@@ -341,15 +360,21 @@ class GivenLoop(Displayed):
             moves / unit @ seen,
             seen.T @ (P[: len(F), : len(F)] * np.outer(unit, unit)) @ seen,
         )
-        begun, power, cost = np.zeros(len(F)), np.eye(len(F)), 0.0
-        for move in moves:
-            begun, power = F @ begun + move, F @ power
-        state = np.linalg.solve(np.eye(len(F)) - power, begun)  # at the end of each cycle
+        none, whole, cost = np.zeros(len(F)), np.eye(len(F)), 0.0
+        begun, later, power = none, none, whole
+        for first, last in zip(moves, moves[::-1], strict=True):
+            begun, later, power = F @ begun + first, F.T @ (P @ last + later), F @ power
+        state = np.linalg.solve(whole - power, begun)  # at the end of each cycle
+        ahead = np.linalg.solve(whole - power.T, later)  # at its beginning, and so at its end
         for move in moves:
             state = F @ state
             cost += 2 * float(move @ P @ state)
             state = state + move
-        return cost / len(table)
+        slopes, acts = np.empty((len(moves), base.Gamma.shape[1])), (base.Gamma / unit[:, None]).T @ seen
+        for k in range(len(moves) - 1, -1, -1):
+            pushed = P @ moves[k] + ahead
+            slopes[k], ahead = acts @ pushed, F.T @ pushed
+        return cost / len(table), slopes
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -447,8 +472,7 @@ UNSTABLE = "expected fewer steps between packets"
 class SameControl(Displayed):
     """Function that computes the cost per step of one controller from the number of steps between its packets."""
 
-    problem: Discrete  # the discrete-time problem
-    kept: AnyController  # the controller, which may depend on the step
+    loop: GivenLoop  # the loop of the controller, which may depend on the step
     base: Base  # the loop that sends every sample, with the receiver's own value in silence
 
     def __call__(self, steps: int) -> float:
@@ -471,15 +495,16 @@ class SameControl(Displayed):
 
     def discretised(self, steps: int) -> float | None:
         """Return the cost if the controller is discretised with the longer interval; None if that is impossible."""
-        problem, plant = self.problem, self.problem.plant
-        if isinstance(self.kept, Controller) or steps == 1:
+        problem, plant, kept = self.loop.problem, self.loop.problem.plant, self.loop.kept
+        if isinstance(kept, Controller) or steps == 1:
             return None
         long = lift(plant.A, plant.B, problem.Q, problem.R, problem.N, plant.W, steps)
         dt = None if plant.dt is None else plant.dt * steps
         try:
             moved = Plant(long.A, long.B, long.W, plant.C, plant.V, dt)
             slow = replace(problem, plant=moved, Q=long.Q, R=long.R, N=long.N, exact=None, deviations=None)
-            base = actuator_base(slow, self.kept.at(dt, plant.inputs, plant.outputs))
+            controller = followed_by(self.loop.stated, kept, kept.at(dt, plant.inputs, plant.sensed))
+            base = actuator_base(slow, controller)
             return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
         except (ProblemError, UnstableError):  # such as a filter that is faster than these steps
             return None
@@ -550,11 +575,11 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
         limit = plant.input_limit
         if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
             raise beyond_limits(plant, steady)
-        held = controller.C, -steady[:, None]
+        F, G = controller.reads
+        held = controller.C, ((controller.D + G) @ r - steady)[:, None]
         what = "the controller does not hold the set-point, as it does not integrate"
-        caused = np.asarray(controller.E @ steady, dtype=np.float64)
+        caused = np.asarray(controller.E @ steady + (controller.B + F) @ r, dtype=np.float64)
         rest, _ = _resting(controller.A, np.zeros((len(controller.A), 0)), caused, held, what)
-        rest = rest + controller.rest
     start, before = -rest, -steady
     if controller.start_input is not None:
         _expect_within_limits(plant, controller.start_input)

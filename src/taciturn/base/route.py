@@ -19,7 +19,7 @@ import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, choice
 from taciturn._display import Displayed
-from taciturn.base.filter import COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND
+from taciturn.base.filter import COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, outputs_of
 from taciturn.base.value import Base
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
@@ -138,7 +138,8 @@ def route_over(
 ) -> GivenRoute:
     """Return the policy steps of a link of a given controller. ``measured`` is the measurement as a sum of signals."""
     start = np.zeros(len(controller.A)) if start is None else start
-    measured = {"y": np.eye(problem.plant.outputs)} if measured is None else measured
+    at = "sensor" if link == "sensor" else "controller"
+    measured = outputs_of(problem.plant, at) if measured is None else measured
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":
         return _over_actuator_link(problem, controller, actuation, lossy, copied, start, measured)

@@ -54,6 +54,7 @@ WIDTH = 1e-6  # accuracy of the critical loss
 SCANS = 32  # losses that are tried, up to the largest, before the critical one is bisected
 LASTING = 1 - 1e-6  # modulus from which on a mode is looked at: computed modes of two integrals are off by 1e-8
 HIDDEN = 1e-7  # share of the cost below which it does not see a mode
+STAYS = 1e-9  # share of a mode that rounding lets a step move into others
 # Growth per step above which a loop is unstable, although its cost is finite: computed modes of two integrals that
 # the cost does not see lie up to 1e-8 outside the unit circle.
 GROWTH = 1e-6
@@ -210,8 +211,11 @@ def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None
     cycle = _cycle(base, attempts)
     if attempts.losses.any():
         # the receiver's own value may settle a loop that every packet destabilises; such a loop is no base
-        apart = repeated_value(base, attempts.scaled(0.0)) is None
-        return None if apart else lossy(cycle, attempts.turns)
+        if repeated_value(base, attempts.scaled(0.0)) is None:
+            return None
+        shown, kept = _without_hidden(cycle)
+        found = lossy(shown, attempts.turns)
+        return None if found is None else (kept @ found[0] @ kept.T, found[1])
     F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)
     for fates in cycle:
         _, step, stage = fates[0][0]
@@ -262,6 +266,35 @@ def _cycle(base: Base, attempts: Attempts) -> Cycle:
         [[(1 - p, *heard), *([(p, *quiet)] if p else [])] if attempt else [(1.0, *quiet)] for p in attempts.losses]
         for attempt in attempts.pattern
     ]
+
+
+def _without_hidden(cycle: Cycle) -> tuple[Cycle, Array]:
+    """Return the fates without the lasting modes that no fate moves into the cost, and the map back, (n, k).
+
+    Such modes are set-points that the loop follows: at rest, a packet that is dropped changes nothing.
+    """
+    fates = [fate for states in cycle for each in states for fate in each]
+    unit = balancing(np.sum([np.abs(F) for _, F, _ in fates], axis=0))
+    moves = [F / unit[:, None] * unit for _, F, _ in fates]
+    stages = [M * unit * unit[:, None] for _, _, M in fates]
+    seen = seen_part(moves[0], stages[0])
+    if seen.shape[1] == len(unit):
+        return cycle, seen
+    hidden = np.eye(len(unit)) - seen @ seen.T
+    largest = max(float(np.abs(M).max(initial=0.0)) for M in stages)
+    stay = all(np.abs(seen.T @ F @ hidden).max(initial=0.0) <= STAYS * max(1.0, np.abs(F).max()) for F in moves)
+    if not stay or any(np.abs(M @ hidden).max(initial=0.0) > HIDDEN * largest for M in stages):
+        return cycle, np.eye(len(unit))
+
+    def shown(fate: Fate) -> Fate:
+        p, F, M = fate
+        return (
+            p,
+            seen.T @ (F / unit[:, None] * unit) @ seen,
+            symmetrised(seen.T @ (M * unit * unit[:, None]) @ seen),
+        )
+
+    return [[[shown(fate) for fate in each] for each in states] for states in cycle], seen / unit[:, None]
 
 
 def least_value(F: Array, M: Array) -> tuple[Array, float]:

@@ -27,7 +27,7 @@ from taciturn._arrays import Array
 from taciturn._text import number_of
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop, SameControl
-from taciturn.base.value import Base, advantage
+from taciturn.base.value import Base
 from taciturn.design.around_controller import Around, GivenSteps, Silenced
 from taciturn.design.bounds import bound_by_errors, shares_of
 from taciturn.errors import ProblemError
@@ -82,22 +82,22 @@ def policy_of_loop(
     functions: frozenset[str] = frozenset(),
 ) -> Policy:
     """Return the policy of a loop with a given controller. If the errors of its links are bounded, so is its cost."""
-    found, problem = advantage(base, loop.remedy), loop.problem
+    (found, whole), problem = loop.value(base), loop.problem
     claims = Theory(
         cost_lqg=loop.cost_lqg,
-        guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
+        guarantee=bound_by_errors(problem, whole, errors) if errors else None,
         errors=errors or {},
         functions=functions,
-        periodic=SameControl(problem, loop.kept, base),
+        periodic=SameControl(loop, base),
     )
-    return loop.nominal(found.cost, found.settling, base).policy(
+    return loop.nominal(whole, found.settling, base).policy(
         kind,
         steps,
         loop.point.begun(steps, initial),
         claims,
         sites=sites,
         network=network,
-        notes=(*loop.beside_lqg(found.cost), *loop.notes),
+        notes=(*loop.beside_lqg(whole), *loop.notes),
     )
 
 

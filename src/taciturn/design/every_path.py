@@ -607,7 +607,7 @@ def loop_of_every_path(
         expect_average(kind, cost)
         found = EveryPath.of_lqg(kind, plant, cost, period)
     else:
-        loop = GivenLoop.of(plant, cost, period, kept, follows=True)
+        loop = GivenLoop.of(plant, cost, period, kept)
         base = loop.every_sample()
         value, whole = loop.value(base)
         nominal = loop.nominal(whole, value.settling, None if cost.mission else base)

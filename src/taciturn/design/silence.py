@@ -8,7 +8,7 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
     J ≤ J_base + δ (1 − rate).
 
 * A controller of the user, over either link: ``send_for_given``. LQG over a horizon or with a discount, whose slope is
-  zero: ``total_excess``. A packet in every step, without a decision: ``send_every_sample``.
+  zero: ``total_excess``. Packets at fixed steps, without a decision: ``send_at_fixed_steps``.
 * Over a link with bursts, the weights depend on the state of the channel. The node keeps its distribution, the
   ``belief``, by the acknowledgements, and the cost of silence is the mean over it (``cost_of_silence``).
 * The theory assumes the model. An alarm watches it: the squares ν'S⁻¹ν of the innovations, averaged with exponential
@@ -38,7 +38,18 @@ from taciturn.base.certainty import (
     control_steps,
     design_certainty,
 )
-from taciturn.base.filter import DEVIATION, ESTIMATE, HELD, SEND, StepCounter, by_clock, estimate_state
+from taciturn.base.filter import (
+    CLOCK,
+    DEVIATION,
+    ESTIMATE,
+    HELD,
+    SEND,
+    FilterSteps,
+    StepCounter,
+    by_clock,
+    count_ticks,
+    estimate_state,
+)
 from taciturn.base.gains import price_control
 from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base
 from taciturn.base.nominal import Nominal
@@ -51,14 +62,15 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.stored import controller_loop
 from taciturn.model.controller import AnyController, Controller
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
+from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Step
-from taciturn.model.theory import INNOVATION, Identity, Theory
-from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
+from taciturn.model.theory import INNOVATION, ClosedForm, Identity, Theory
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 BELIEF = "belief"
 GOOD_OR_BAD = ("cost if good", "cost if bad")
@@ -67,6 +79,7 @@ FORGOTTEN = 0.02  # weight of the newest innovation: the average extends over ab
 FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
 MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
 MISSING, WOULD, BEYOND, LIMIT = "missing", "command of a packet", "beyond limits", "limit"
+COMING = "coming set-points"  # the slope that known changes of set-points add to the cost of silence
 
 
 def send_for_given(
@@ -89,6 +102,13 @@ def send_for_given(
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
     lossy = drops(network, link)
+    timed = isinstance(plant.changes, SampledChanges)
+    if timed and (lossy or every > 1 or not average):
+        why = "the link drops packets" if lossy else f"every is {every}" if every > 1 else "the cost is a total"
+        raise ProblemError(
+            f"the set-points change at known times (reference.file), and {why}; expected an average cost, every = 1 "
+            "and ideal links, or steps at random times (reference.steps)"
+        )
     copied = actuation == "model" and (lossy or every > 1)
     if copied and not average:
         why = "the link drops packets" if lossy else f"every is {every}"
@@ -110,7 +130,8 @@ def send_for_given(
     time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
     attempts = attempts_of(problem, route.base, time.pattern, chain, network.lost(link))
     found = advantage(route.base, loop.remedy, attempts)
-    base = all_time = cost_of_base(problem, found, route.start, route.begun)
+    overlap, slopes = loop.known_steps(route.base, found.P) if timed else (0.0, None)
+    base = all_time = cost_of_base(problem, found, route.start, route.begun) + overlap
     if every > 1:
         used = controller if lqg is None else lqg
         known = steady if copied and lossy else None  # without losses, no prediction is ever used
@@ -118,17 +139,17 @@ def send_for_given(
         always_found = _every_sample(problem, always.base, loop.remedy, chain, network.lost(link))
         all_time = cost_of_base(problem, always_found, always.start, always.begun)
     proved = None
-    if every == 1 and not lossy:
+    if every == 1 and not lossy and plant.changes is None:  # set-points that change last, and the proof sees them
         proved = controller_loop(problem, controller).cost()
         base = all_time = base if proved is None else proved.value
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
-    silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
+    silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit, slopes)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
     # above the price in any case, also if that is 0: then silence is never the least
     at, forbidden, rule = route.node, 2 * price + base + 1, silence.cost
-    watch = () if watched is None else watch_innovations(INNOVATION, watched, at)
+    watch = () if watched is None else watch_innovations(INNOVATION, watched, at, plant.sensed)
     if watch:
         watch, rule = _unless(WATCH, watch, rule, forbidden)
     clipped = _at_limits(plant, controller, at)
@@ -152,7 +173,7 @@ def send_for_given(
         covers=GAUSSIAN_THEORY | BURSTS if lossy else GAUSSIAN_THEORY,
         functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
-        periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
+        periodic=SameControl(loop, alone.base) if average and not lossy else None,
         every=every,
     )
     nominal = loop.nominal(
@@ -170,35 +191,66 @@ def send_for_given(
         loop.point.begun(steps, initial),
         claims,
         sites=route.sites,
-        locations=time.locations,
+        locations=time.locations if slopes is None else (count_ticks(len(slopes), 0),),
         network=network if lossy else None,
         notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
     )
 
 
-def send_every_sample(
+def send_at_fixed_steps(
     kind: str,
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
     kept: AnyController,
     link: str = "actuator",
+    intervals: Sequence[int] = (1,),
+    actuation: LoopActuation = "hold",
 ) -> Policy:
-    """Return the policy of a given controller that sends a packet at every sample.
+    """Return the policy of a given controller that sends at every sample, or at the intervals of a cycle.
 
-    No node decides, so none needs a filter, and the plant need not be detectable.
+    No node decides, so none needs a filter unless it predicts, and the plant need not be detectable.
     """
     loop = GivenLoop.of(plant, cost, period, kept)
     problem, average = loop.problem, not loop.problem.cost.mission
-    plant = problem.plant
-    route = route_over(link, problem, loop.controller, "hold", False, start=loop.point.start)
-    found, proved = _every_sample(problem, route.base, loop.remedy), controller_loop(problem, loop.controller).cost()
-    always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
-    steps = route.steps((always,))
-    nominal = loop.nominal(
-        cost_of_base(problem, found, route.start, route.begun), found.settling, route.base if average else None, proved
+    plant, pattern = problem.plant, pattern_of(intervals)
+    every = len(pattern) == 1
+    if not every and isinstance(plant.changes, SampledChanges):
+        raise ProblemError(
+            "the set-points change at known times (reference.file), and the controller does not send every sample, so "
+            "its cost is not known; expected steps at random times (reference.steps), or the policy kind all-time"
+        )
+    steady = problem.filter() if actuation == "model" else None
+    estimation = FilterSteps((), (), {}, None) if steady is None else estimate_state(plant, steady)
+    route = route_over(link, problem, loop.controller, actuation, False, start=loop.point.start)
+    found, whole = loop.value(route.base)
+    proved = controller_loop(problem, loop.controller).cost() if plant.changes is None else None
+    nominal = loop.nominal(whole, found.settling, route.base if average else None, proved)
+    costs = nominal.cost if every else advantage(route.base, loop.remedy, Attempts(pattern)).cost
+    sends = Form() if every else Form(constant=Scheduled(CLOCK, np.where(pattern, -1.0, 1.0)))
+    decide = Decide(route.node, SEND, Trigger({"silent": Form(constant=float(every)), SEND: sends}))
+    steps = (*estimation.correct, *route.steps((decide,), estimation.predict))
+    claims = Theory()
+    if average:
+        claims = Theory(
+            closed_form=ClosedForm(problem.per_unit(costs), {link: len(intervals) / len(pattern)}),
+            covers=THEORY,
+            periodic=SameControl(loop, route.base),
+        )
+    return nominal.policy(
+        kind,
+        steps,
+        loop.point.begun(steps, {**estimation.initial, **route.initial}),
+        claims,
+        sites=route.sites,
+        locations=() if every else (count_ticks(len(pattern), 0),),
+        notes=loop.notes,
     )
-    return nominal.policy(kind, steps, loop.point.begun(steps, route.initial), Theory(), sites=route.sites)
+
+
+def pattern_of(intervals: Sequence[int]) -> tuple[bool, ...]:
+    """Return whether a packet is sent, for each step of a cycle of intervals."""
+    return tuple(k == 0 for steps in intervals for k in range(steps))
 
 
 def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:
@@ -245,9 +297,18 @@ class Silence(Displayed):
 
 
 def cost_of_silence(
-    found: Advantage, route: GivenRoute, attempts: Attempts, link: str, phases: Sequence[int], unit: float
+    found: Advantage,
+    route: GivenRoute,
+    attempts: Attempts,
+    link: str,
+    phases: Sequence[int],
+    unit: float,
+    slopes: Array | None = None,
 ) -> Silence:
-    """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it."""
+    """Compute the cost of not sending as a form, and the policy steps with which the deciding node evaluates it.
+
+    ``slopes`` are those that known changes of set-points cause, (steps, c), one row for each step of the timetable.
+    """
     n = found.slope.shape[-1]
     none = np.zeros((*found.H.shape[:2], n, n))
     whole: Any = np.block([[found.H, found.slope], [found.slope.swapaxes(2, 3), none]])  # type: ignore[arg-type]
@@ -255,8 +316,13 @@ def cost_of_silence(
     tried = np.array([attempts.pattern[phase] for phase in phases])
     signals = ("error", *route.state)
     if len(attempts.losses) == 1:
-        values, identity = square[:, 0], signals
-        silence = Silence(Form(signals, _by_clock(values)), (Form(), Form()))
+        values, identity, before = square[:, 0], signals, tuple[Step, ...]()
+        if slopes is not None:
+            c = slopes.shape[1]
+            values, identity = np.pad(values, ((0, 0), (0, c), (0, c))), (*signals, COMING)
+            values[:, :c, -c:] = values[:, -c:, :c] = np.eye(c)
+            before = (Assign(route.node, COMING, {ONE: Scheduled(CLOCK, slopes[:, :, None])}),)
+        silence = Silence(Form(identity, _by_clock(values)), (Form(), Form()), before)
     else:
         states = range(len(attempts.losses))
         names = GOOD_OR_BAD if len(states) == 2 else tuple(f"cost in state {m}" for m in states)
@@ -323,12 +389,15 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
     return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 
 
-def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, ...]:
-    """Return policy steps that check whether the innovations of a filter are larger than the model predicts."""
-    entries = shape_of(covariance)[0]
+def watch_innovations(signal: str, covariance: Matrix, at: str, entries: int) -> tuple[Step, ...]:
+    """Return policy steps that check whether the innovations of a filter are larger than the model predicts.
+
+    Only the first ``entries`` count, those of measurements: set-points follow, and an operator may move them as he
+    likes.
+    """
     freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
     limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
-    averaged = Form((signal,), _weight(covariance), plus={"surprise": 1 - FORGOTTEN})
+    averaged = Form((signal,), _weight(covariance, entries), plus={"surprise": 1 - FORGOTTEN})
     same, more = Form(plus={"alarms": 1.0}), Form(constant=1.0, plus={"alarms": 1.0})
     return (
         Evaluate(at, "surprise", (averaged,)),
@@ -337,14 +406,17 @@ def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, .
     )
 
 
-def _weight(covariance: Matrix) -> Matrix:
+def _weight(covariance: Matrix, entries: int) -> Matrix:
     if isinstance(covariance, Scheduled):
-        return Scheduled(covariance.by, _inverse(covariance.values))
-    return _inverse(covariance)
+        return Scheduled(covariance.by, _inverse(covariance.values, entries))
+    return _inverse(covariance, entries)
 
 
-def _inverse(covariance: Array) -> Array:
-    return symmetrised(FORGOTTEN * np.asarray(np.linalg.pinv(covariance, hermitian=True), dtype=np.float64))
+def _inverse(covariance: Array, entries: int) -> Array:
+    found = np.zeros_like(covariance)
+    measured = covariance[..., :entries, :entries]
+    found[..., :entries, :entries] = FORGOTTEN * np.linalg.pinv(measured, hermitian=True)
+    return symmetrised(found)
 
 
 def _at_limits(plant: Plant, controller: Controller, at: str) -> tuple[Step, ...]:

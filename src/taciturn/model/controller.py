@@ -4,12 +4,13 @@ A controller computes the input from the measurement, in discrete or in continuo
 
     z⁺ = A z + B y + E u   or   dz/dt = A z + B y,   and   u = C z + D y.
 
-E feeds the applied input back, as observers and anti-windup do. The method ``at`` returns the ``Controller`` for the
-steps, inputs and outputs of a plant: a continuous one is discretised, and ``PIDLoops`` are several PID controllers,
-each from one output to one input, whose states stand one below the other.
+E feeds the applied input back, as observers and anti-windup do. Set-points r add F r to z⁺ (or dz/dt) and G r to u.
+Without F and G, the controller reads y − r in place of y: F = −B and G = −D. The method ``at`` returns the
+``Controller`` for the steps, inputs and outputs of a plant: a continuous one is discretised, and ``PIDLoops`` are
+several PID controllers, each from one output to one input, whose states stand one below the other.
 
-A set-point is subtracted from the measurement. Weights of a set-point only change the state at which the controller
-rests, as it is constant. A controller with an integrator compensates a slow ``Disturbance`` at the inputs.
+A set-point is constant, or a state of the plant that the controller reads (``following``). PID controllers weight it
+by b and c. A controller with an integrator compensates a slow ``Disturbance`` at the inputs.
 
 ``controller_from`` converts systems of other libraries. ``relative_to`` counts set-points and inputs from the
 operating point of a plant.
@@ -38,7 +39,9 @@ Method: TypeAlias = Literal["tustin", "zoh"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(Displayed):
-    """A linear controller in discrete time: z⁺ = A z + B y + E u and u = C z + D y; in z⁺, u is the applied input.
+    """A linear controller in discrete time: z⁺ = A z + B y + E u + F r and u = C z + D y + G r with set-points r.
+
+    In z⁺, u is the applied input.
 
     Args:
         A: dynamics of the controller's state, (k, k).
@@ -49,12 +52,12 @@ class Controller(Displayed):
         dt: seconds per step; None if it is not stated.
         disturbance: slowly varying disturbance at each input of the plant; default: ``Disturbance()`` if the controller
             integrates, otherwise none.
-        setpoint: constant set-point of each output, (p,), or of the only one, which is subtracted from the measurement;
-            default 0. At an operating point of the plant, 0 means the output there.
-        rest: state of the controller when it rests at the set-point, relative to that of feedback of the error only,
-            (k,); set-point weights change it; default 0.
+        setpoint: constant set-point of each output, (p,), or of the only one; default 0. At an operating point of the
+            plant, 0 means the output there.
         start_input: input before the start, (m,), which the first command equals on average; default: the controller
             starts with its state at zero.
+        F: effect of the set-points on the state, (k, r); default −B: the controller reads y − r.
+        G: direct effect of the set-points, (m, r); default −D.
 
     Raises:
         ProblemError: the sizes of the matrices differ.
@@ -77,8 +80,9 @@ class Controller(Displayed):
         )
     )
     setpoint: Array = field(metadata=stated_as(list[float] | None))
-    rest: Array = field(metadata=NO_KEY)
     start_input: Array | None = field(metadata=NO_KEY)
+    F: Array | None = field(metadata=stated_as(Rows | None))
+    G: Array | None = field(metadata=stated_as(Rows | None))
 
     def __init__(
         self,
@@ -90,8 +94,9 @@ class Controller(Displayed):
         dt: float | None = None,
         disturbance: Disturbance | None = None,
         setpoint: ArrayLike | None = None,
-        rest: ArrayLike | None = None,
         start_input: ArrayLike | None = None,
+        F: ArrayLike | None = None,
+        G: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
         A = array("controller.A", A, (None, None), "(controller states, controller states)")
@@ -112,12 +117,18 @@ class Controller(Displayed):
             "dt": None if dt is None else number("controller.dt", dt, 0.0),
             "disturbance": checked_disturbance("controller.disturbance", disturbance),
         }
-        for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
-            expect_unmasked(f"controller.{name}", value)
-            each = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
-            found[name] = array(f"controller.{name}", each, (size,), f"({size},)")
+        expect_unmasked("controller.setpoint", setpoint)
+        each = np.zeros(p) if setpoint is None else np.atleast_1d(np.asarray(setpoint))
+        found["setpoint"] = array("controller.setpoint", each, (p,), f"({p},)")
         start = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
-        set_fields(self, {**found, "start_input": start})
+        set_fields(self, {**found, "start_input": start, **set_point_inputs(F, G, k, m)})
+
+    @property
+    def reads(self) -> tuple[Array, Array]:
+        """The effects of the set-points on the state, (k, r), and on the input, (m, r)."""
+        if self.F is None or self.G is None:
+            return -self.B, -self.D
+        return self.F, self.G
 
     @property
     def integrates(self) -> bool:
@@ -153,9 +164,28 @@ class Controller(Displayed):
         return self
 
 
+def set_point_inputs(F: ArrayLike | None, G: ArrayLike | None, states: int, inputs: int) -> dict[str, Array | None]:
+    """Check the effects of set-points on a controller; if one of them is missing, it is zero."""
+    if F is None and G is None:
+        return {"F": None, "G": None}
+    found = {
+        name: None if value is None else array(f"controller.{name}", value, (rows, None), f"({many}, set-points)")
+        for name, value, rows, many in (("F", F, states, "controller states"), ("G", G, inputs, "inputs"))
+    }
+    columns = {one.shape[1] for one in found.values() if one is not None}
+    if len(columns) > 1:
+        raise ProblemError(
+            f"controller.F and controller.G have {' and '.join(map(str, sorted(columns)))} columns; expected one "
+            "column for each set-point in both"
+        )
+    (size,) = columns
+    none = {"F": np.zeros((states, size)), "G": np.zeros((inputs, size))}
+    return {name: none[name] if one is None else one for name, one in found.items()}
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ContinuousController(Displayed):
-    """A linear controller in continuous time: dz/dt = A z + B y and u = C z + D y.
+    """A linear controller in continuous time: dz/dt = A z + B y + F r and u = C z + D y + G r with set-points r.
 
     Args:
         A: dynamics of the controller's state, (k, k), per second.
@@ -165,6 +195,8 @@ class ContinuousController(Displayed):
         method: ``"tustin"``: the trapezoidal rule; ``"zoh"``: measurements are constant within a step.
         disturbance: as for ``Controller``.
         setpoint: as for ``Controller``.
+        F: effect of the set-points on the state, (k, r), per second; default −B: the controller reads y − r.
+        G: direct effect of the set-points, (m, r); default −D.
 
     Raises:
         ProblemError: the sizes of the matrices differ, or the method is unknown.
@@ -181,13 +213,15 @@ class ContinuousController(Displayed):
     method: Method = field(default="tustin", metadata=stated_as(Method | None))
     disturbance: Disturbance | None = field(default=None, metadata=NO_KEY)
     setpoint: ArrayLike | None = field(default=None, metadata=NO_KEY)
+    F: Array | None = field(default=None, metadata=NO_KEY)
+    G: Array | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
         """Validate the matrices and the method."""
         choice("controller.method", self.method, ("tustin", "zoh"))
         checked_disturbance("controller.disturbance", self.disturbance)
-        stated = Controller(self.A, self.B, self.C, self.D)
-        set_fields(self, {name: getattr(stated, name) for name in "ABCD"})
+        stated = Controller(self.A, self.B, self.C, self.D, F=self.F, G=self.G)
+        set_fields(self, {name: getattr(stated, name) for name in "ABCDFG"})
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
         """Discretise the controller for the sampling period ``dt`` in seconds.
@@ -197,15 +231,21 @@ class ContinuousController(Displayed):
         """
         method = "bilinear" if self.method == "tustin" else "zoh"
         step = stated_step(dt)
+        p, B, D = self.B.shape[1], self.B, self.D
+        if self.F is not None and self.G is not None:  # set-points enter as measurements do
+            B, D = np.hstack([B, self.F]), np.hstack([D, self.G])
         try:
-            found = _scipy.discrete_controller(self.A, self.B, self.C, self.D, step, method)
+            A, B, C, D = _scipy.discrete_controller(self.A, B, self.C, D, step, method)
         except np.linalg.LinAlgError:
             raise ProblemError(
                 f"the controller has a pole at 2/h = {2 / step:g} per second with steps of h = {step:g} s, so the "
                 'trapezoidal rule does not apply; expected method = "zoh", or controller.dt, if the matrices of the '
                 "controller describe one step"
             ) from None
-        return Controller(*found, None, dt, self.disturbance, self.setpoint).at(dt, inputs, outputs)
+        more = {} if self.F is None else {"F": B[:, p:], "G": D[:, p:]}
+        return Controller(A, B[:, :p], C, D[:, :p], None, dt, self.disturbance, self.setpoint, **more).at(
+            dt, inputs, outputs
+        )
 
     def ringing(self, dt: float) -> tuple[float, float] | None:
         """Find the mode that alternates most after discretisation; return its time constant and eigenvalue, or None.
@@ -293,15 +333,11 @@ class PID(Displayed):
         for name in ("kp", "ki", "kd", "setpoint", "b", "c"):
             number(f"pid.{name}", getattr(self, name))
         checked_disturbance("pid.disturbance", self.disturbance)
-        if not self.setpoint and (self.b != 1.0 or self.c != 0.0):
-            raise ProblemError(
-                "pid.b or pid.c is given without pid.setpoint; expected a set-point, or neither pid.b nor pid.c"
-            )
         if self.tracking_time is not None:
             number("pid.tracking_time", self.tracking_time, 0.0)
         if self.start_input is not None:
             number("pid.start_input", self.start_input)
-        if self.c and self.start_input is not None:
+        if self.c and self.setpoint and self.start_input is not None:
             raise ProblemError(
                 f"pid.c is {self.c:g} together with start_input, so it has no effect: the derivative starts at zero, "
                 "and the set-point is constant; expected no pid.c"
@@ -340,13 +376,11 @@ class PID(Displayed):
         """
         return PIDLoops((self,)).at(dt, inputs, outputs)
 
-    def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float, list[float]]:
-        """Return the diagonal of A, the entries of B, C and D, and the state in equilibrium, for steps of ``dt``
-        seconds.
-        """
-        A, B, C, D, rest = list[float](), list[float](), list[float](), -self.kp, list[float]()
+    def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float, list[float], float]:
+        """Return the diagonal of A, and the entries of B, C, D, F and G, for steps of ``dt`` seconds."""
+        A, B, C, D, F, G = list[float](), list[float](), list[float](), -self.kp, list[float](), self.kp * self.b
         if self.ki:
-            A, B, C, rest = [1.0], [dt], [-self.ki], [-self.kp * (1 - self.b) * self.setpoint / self.ki]
+            A, B, C, F = [1.0], [dt], [-self.ki], [-dt]
         if self.kd and self.filter is not None:
             T = self.filter
             if dt > T:
@@ -354,8 +388,8 @@ class PID(Displayed):
                     f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a time constant of at least one step"
                 )
             A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
-            rest = [*rest, (1 - self.c) * self.setpoint]
-        return A, B, C, D, rest
+            F, G = [*F, -dt / T * self.c], G + self.kd / T * self.c
+        return A, B, C, D, F, G
 
 
 @dataclass(frozen=True, repr=False)
@@ -387,8 +421,8 @@ class PIDLoops(Displayed):
         Raises:
             ProblemError: as for a single PID controller, or an input has no controller.
         """
-        step, D = stated_step(dt), np.zeros((inputs, outputs))
-        A, B, C, rest = list[float](), list[Array](), list[Array](), list[float]()
+        step, D, G = stated_step(dt), np.zeros((inputs, outputs)), np.zeros((inputs, outputs))
+        A, B, C, F = list[float](), list[Array](), list[Array](), list[Array]()
         setpoint, tracked = np.zeros(outputs), list[tuple[int, int, float]]()
         for loop in self.loops:
             for name, size in (("input", inputs), ("output", outputs)):
@@ -398,17 +432,18 @@ class PIDLoops(Displayed):
                         f"{name}s of the plant"
                     )
             to, read = np.eye(inputs)[loop.input - 1], np.eye(outputs)[loop.output - 1]
-            a, b, c, d, still = loop.rows(step)
+            a, b, c, d, f, g = loop.rows(step)
             if loop.tracking_time is not None:
                 number("pid.tracking_time", loop.tracking_time, step, closed=True)
                 tracked.append((len(A), loop.input - 1, step / (loop.tracking_time * loop.ki)))
-            rest += still
             if loop.setpoint:
                 setpoint[loop.output - 1] = loop.setpoint
             A += a
             B += [value * read for value in b]
             C += [value * to for value in c]
+            F += [value * read for value in f]
             D += d * np.outer(to, read)
+            G += g * np.outer(to, read)
         for free in sorted(set(range(1, inputs + 1)) - {loop.input for loop in self.loops}):
             raise ProblemError(
                 f"no PID controller computes input {free} of the plant; expected one PID controller for each input"
@@ -416,31 +451,13 @@ class PIDLoops(Displayed):
         k = len(A)
         disturbance = next((loop.disturbance for loop in self.loops if loop.disturbance is not None), None)
         rows = np.diag(A).reshape(k, k), np.reshape(B, (k, outputs)), np.reshape(C, (k, inputs)).T
-        E = np.zeros((k, inputs))
+        E, enters = np.zeros((k, inputs)), np.reshape(F, (k, outputs))
         for row, to, gain in tracked:
             rows[0][row] += gain * rows[2][to]
             rows[1][row] += gain * D[to]
+            enters[row] += gain * G[to]
             E[row, to] -= gain
-        return Controller(*rows, D, E, step, disturbance, setpoint, rest, self._start_input(inputs))
-
-    def following(self, dt: float, inputs: int, outputs: int) -> tuple[Array, Array]:
-        """Return the effect of the outputs' set-points on the controller's next state, (k, p), and on the input, (m,
-        p).
-        """
-        B, D = list[Array](), np.zeros((inputs, outputs))
-        for loop in self.loops:
-            read = np.eye(outputs)[loop.output - 1]
-            B += [-dt * read] if loop.ki else []
-            D[loop.input - 1] += loop.kp * loop.b * read
-            if loop.kd and loop.filter is not None:
-                B.append(-dt / loop.filter * loop.c * read)
-                D[loop.input - 1] += loop.kd / loop.filter * loop.c * read
-        moved, row = np.reshape(B, (len(B), outputs)), 0
-        for loop in self.loops:
-            if loop.tracking_time is not None:
-                moved[row] += dt / (loop.tracking_time * loop.ki) * D[loop.input - 1]
-            row += bool(loop.ki) + bool(loop.kd)
-        return moved, D
+        return Controller(*rows, D, E, step, disturbance, setpoint, self._start_input(inputs), enters, G)
 
     def _start_input(self, inputs: int) -> Array | None:
         """Return the input before the start, if all loops state it; 0 for inputs of loops that do not."""
@@ -458,16 +475,11 @@ def pids_of(kept: object) -> tuple[PID, ...]:
     return kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
 
 
-def following(kept: AnyController, controller: Controller, rows: Sequence[int]) -> Controller:
-    """Extend a discretised controller, so that it reads the set-points of some outputs as further measurements."""
-    # a PID controller weights its set-point by b and c, of which c = 0 differentiates the output alone
-    c, (m, p) = controller, controller.D.shape
-    B, D = -c.B, -c.D
-    if isinstance(kept, PID | PIDLoops):
-        B, D = PIDLoops(pids_of(kept)).following(stated_step(c.dt), m, p)
-    more = [*rows]
-    wide = np.hstack([c.B, B[:, more]]), np.hstack([c.D, D[:, more]])
-    return Controller(c.A, wide[0], c.C, wide[1], c.E, c.dt, c.disturbance, None, c.rest, c.start_input)
+def following(controller: Controller, columns: Sequence[int]) -> Controller:
+    """Extend a discretised controller, so that it reads set-points, some columns of F, as further measurements."""
+    c, more = controller, [*columns]
+    B, D = (np.hstack([own, read[:, more]]) for own, read in zip((c.B, c.D), c.reads, strict=True))
+    return Controller(c.A, B, c.C, D, c.E, c.dt, c.disturbance, None, c.start_input)
 
 
 def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyController:
@@ -487,8 +499,7 @@ def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyContr
             if u is not None and one.input <= len(point.u) and one.input not in first:
                 first.add(one.input)
                 u -= float(point.u[one.input - 1])
-            weights = {"b": one.b, "c": one.c} if r else {"b": 1.0, "c": 0.0}
-            found.append(replace(one, setpoint=r, start_input=u, **weights))
+            found.append(replace(one, setpoint=r, start_input=u))
         return found[0] if isinstance(kept, PID) else PIDLoops(tuple(found))
     if kept.setpoint is None:
         return kept
@@ -497,7 +508,7 @@ def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyContr
     if isinstance(kept, ContinuousController):
         return replace(kept, setpoint=moved)
     u = None if kept.start_input is None else kept.start_input - point.u
-    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, kept.disturbance, moved, kept.rest, u)
+    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, kept.disturbance, moved, u, kept.F, kept.G)
 
 
 def controller_from(
@@ -507,6 +518,8 @@ def controller_from(
     E: ArrayLike | None = None,
     disturbance: Disturbance | None = None,
     setpoint: ArrayLike | None = None,
+    F: ArrayLike | None = None,
+    G: ArrayLike | None = None,
 ) -> AnyController:
     """Convert a system of python-control or scipy, a gain matrix or several PID controllers to a controller.
 
@@ -518,6 +531,8 @@ def controller_from(
         E: effect of the applied input on the state of a discrete system, (k, m).
         disturbance: as for ``Controller``.
         setpoint: as for ``Controller``.
+        F: effect of set-points on the state, as for ``Controller``; the sign does not change it.
+        G: direct effect of set-points on the input, as for ``Controller``; the sign does not change it.
 
     Returns:
         The controller.
@@ -531,7 +546,7 @@ def controller_from(
         [[-2.05]]
     """
     factor = -1.0 if choice("sign", sign, ("negative", "positive")) == "negative" else 1.0
-    others = {"method": method, "E": E, "disturbance": disturbance, "setpoint": setpoint}
+    others = {"method": method, "E": E, "disturbance": disturbance, "setpoint": setpoint, "F": F, "G": G}
     stated = [name for name, value in others.items() if value is not None] + ["sign"] * (factor > 0)
     listed = cast("Sequence[object]", system) if isinstance(system, list | tuple) else ()
     loops = [one for one in listed if isinstance(one, PID)]
@@ -545,13 +560,14 @@ def controller_from(
             raise ProblemError(f"the list of PID controllers contains {quoted(wrong)}; expected PID controllers only")
         return PIDLoops(tuple(loops)) if loops else cast("AnyController", system)
     if isinstance(system, np.ndarray | Sequence | float | int):
-        for name in (name for name in ("method", "E") if name in stated):
+        for name in (name for name in ("method", "E", "F") if name in stated):
             raise ProblemError(f"{name} is given with a gain matrix, which has no state; expected no {name}")
         K = factor * array("controller", np.atleast_2d(cast("Any", system)), (None, None), "(inputs, outputs)")
         m, p = K.shape
         if not K.size:
             raise ProblemError("the controller is empty; expected a gain matrix K, or PID controllers")
-        return Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), K, None, None, disturbance, setpoint)
+        none = np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0))
+        return Controller(*none, K, disturbance=disturbance, setpoint=setpoint, G=G)
     linear, dt = state_space_of("controller", system)
     refuse_descriptor("controller", vars_of(linear))
     A, B, C, D = (np.asarray(getattr(linear, name), dtype=np.float64) for name in "ABCD")
@@ -561,10 +577,13 @@ def controller_from(
                 "E is given with a continuous controller; expected a discrete controller: E multiplies the input "
                 "that was applied in a step"
             )
-        return ContinuousController(A, B, factor * C, factor * D, method or "tustin", disturbance, setpoint)
+        rule = method or "tustin"
+        return ContinuousController(
+            A, B, factor * C, factor * D, rule, disturbance, setpoint, cast("Any", F), cast("Any", G)
+        )
     if method is not None:
         raise ProblemError(
             f"method is {method!r} with a discrete controller; expected no method, or dt = 0 for a continuous "
             "controller"
         )
-    return Controller(A, B, factor * C, factor * D, E, dt, disturbance, setpoint)
+    return Controller(A, B, factor * C, factor * D, E, dt, disturbance, setpoint, F=F, G=G)

@@ -74,7 +74,7 @@ GRAPH = names("nodes", "measures applies controls site") | {"network.nodes"}
 LOSSES = frozenset({"links.loss"})
 BURSTS = frozenset({"links.burst"})
 ROUNDING = frozenset({"links.payload"})
-CONTROLLER = names("controller", "A B C D E dt disturbance setpoint rest start_input") | (
+CONTROLLER = names("controller", "A B C D E F G dt disturbance setpoint start_input") | (
     names("disturbance", "time_constant deviation")
 )
 TRACKING = names("tracking", "state input final") | names("reference", "states inputs")

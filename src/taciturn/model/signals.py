@@ -104,12 +104,14 @@ class Changes(Displayed):
 class RandomSteps(Changes):
     """Set-points that change in steps at random times. Each change is a normal random vector with zero mean.
 
+    With the rate 0, set-points change only when somebody changes them: the controller reads them in every step.
+
     Args:
-        rate: mean number of steps per second, or per sampling step of a plant that is discrete in time, positive.
-        covariance: covariance of a step, (z, z), positive semidefinite and not zero.
+        rate: mean number of steps per second, or per sampling step of a plant that is discrete in time.
+        covariance: covariance of a step, (z, z), positive semidefinite, and not zero unless the rate is 0.
 
     Raises:
-        ProblemError: the rate or the covariance is not positive.
+        ProblemError: the rate is negative, or a step changes nothing.
 
     Example:
         >>> RandomSteps(0.01, [[4.0]]).noise
@@ -122,10 +124,10 @@ class RandomSteps(Changes):
 
     def __init__(self, rate: float, covariance: ArrayLike) -> None:
         """Validate and store the arguments."""
-        rate = number("reference.steps.rate", rate, 0.0)
+        rate = number("reference.steps.rate", rate, 0.0, closed=True)
         given = array("reference.steps.covariance", covariance, (None, None), "(set-points, set-points)")
         checked = semidefinite("reference.steps.covariance", given, len(given), "(set-points, set-points)")
-        if not checked.any():
+        if rate and not checked.any():
             raise ProblemError("reference.steps.covariance is zero; expected the covariance of a step")
         set_fields(self, {"rate": rate, "covariance": checked})
 

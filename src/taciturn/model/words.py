@@ -59,6 +59,7 @@ VOCABULARY: Mapping[str, tuple[str, str]] = {  # symbol and words by name, witho
     "margin": ("", "margin"),
     "bank": ("", "bank"),
     "surprise": ("", "surprise"),
+    "coming set-points": ("h", "effect of the coming set-points"),
 }
 EARLIER = ("last", "level", "held")  # signals with a value of an earlier step
 DRAWN = ("ξ", "exponential random number of mean 1, drawn in each step")

@@ -401,7 +401,9 @@ def parse(
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         plant, simulated = plant_of(file.plant, known or {}), file.plant.get("actual")
         actual = None if simulated is None else actual_of(simulated, file.plant.get("dt"), plant, known or {})
-        controller = None if file.controller is None else controller_of(file.controller, plant)
+        controller = (
+            None if file.controller is None else controller_of(file.controller, plant, file.reference is not None)
+        )
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
         points = file.reference if trajectory is None else None

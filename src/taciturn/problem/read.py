@@ -99,6 +99,9 @@ def with_exosystem(
         rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
         stated |= {"outputs": plant.C[rows], "D": None if plant.D is None else plant.D[rows]}
     target = SetPoint(**stated)
+    if file.controller is not None and target.changes is None and not (file.disturbance or nodes):
+        size = len(target.outputs)  # a given controller reads its set-points, also those that only an operator changes
+        target = SetPoint(target.outputs, target.value, RandomSteps(0.0, np.zeros((size, size))), target.D)
     given = [_disturbance(place, one, table.get("E")) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
     return with_target(plant, target, given)
@@ -373,13 +376,21 @@ def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: AnyCont
     return Cost(found.Q, found.R, found.N, **ending)
 
 
-def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyController:
-    """Make the controller from its table, which states gains, matrices, or a file with matrices."""
+def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant, follows: bool) -> AnyController:
+    """Make the controller from its table, which states gains, matrices, or a file with matrices.
+
+    ``follows`` states whether the problem has set-points that the controller reads.
+    """
     _expect_stated(table, plant)
+    for name in (name for name in "FG" if name in table and not follows):
+        raise ProblemError(
+            f"controller.{name} is given, an effect of set-points, without [reference]; expected set-points in "
+            f"[reference], or no controller.{name}"
+        )
     disturbance = table.get("disturbance")
     if disturbance is not None:
         disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**disturbance)
-    stated: Mapping[str, object] = {name: table[name] for name in "ABCDE" if name in table}
+    stated: Mapping[str, object] = {name: table[name] for name in "ABCDEFG" if name in table}
     given = [name for name in ("pid", "file") if name in table] + [*stated][:1]
     if len(given) > 1:
         raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are both given; expected only one of them")
@@ -410,7 +421,7 @@ def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyC
             "or only D for a static gain"
         )
     missing = [name for name in "ABC" if name not in stated]
-    if missing and stated.keys() != {"D"}:
+    if missing and not stated.keys() <= {"D", "G"}:
         raise ProblemError(
             f"the controller has {', '.join(stated)} but no {', '.join(missing)}; expected A, B, C and D, or only D "
             "for a static gain"
@@ -427,6 +438,7 @@ def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyC
     m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
     A, B, C = (found.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
     D, E = sign * found.get("D", np.zeros((m, p))), found.get("E")
+    F, G = found.get("F"), found.get("G")
     if dt == 0 or method is not None:
         if dt:
             raise ProblemError(
@@ -435,8 +447,8 @@ def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> AnyC
             )
         if E is not None:
             raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
-        return ContinuousController(A, B, sign * C, D, method or "tustin", disturbance, setpoint)
-    return Controller(A, B, sign * C, D, E, dt, disturbance, setpoint)
+        return ContinuousController(A, B, sign * C, D, method or "tustin", disturbance, setpoint, F, G)
+    return Controller(A, B, sign * C, D, E, dt, disturbance, setpoint, F=F, G=G)
 
 
 def _loops(table: ControllerKeys) -> list[PIDKeys]:

@@ -27,6 +27,7 @@ import numpy as np
 from taciturn._modes import eigenvalues
 from taciturn._rational import Limit, unmoved
 from taciturn._text import Lines, number_of, per_unit
+from taciturn.base.given_controller import followed_by
 from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
@@ -393,8 +394,9 @@ class Description(Result):
         """The user's controller, discretised for the steps of the policy; None if the design computes the gains."""
         if self.problem.controller is None or self.nodes is None:
             return None
-        plant = self.nodes.model
-        return self.problem.controller.at(plant.dt, plant.inputs, plant.outputs)
+        plant, stated = self.nodes.model, self.problem.controller
+        controller = stated.at(plant.dt, plant.inputs, plant.sensed)
+        return controller if plant.changes is None else followed_by(self.problem.plant, stated, controller)
 
     @property
     def gains(self) -> dict[str, Matrix]:

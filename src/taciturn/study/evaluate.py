@@ -33,7 +33,7 @@ from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
-from taciturn.design.silence import send_every_sample
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops
@@ -61,6 +61,7 @@ from taciturn.study.further_loops import (
 from taciturn.study.measure import CONDITIONAL, Request, measure
 from taciturn.study.periodic import ClockMix, periodic_at
 from taciturn.study.sentences import WITHDRAWN
+from taciturn.study.set_point_steps import rates_around_steps
 
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
@@ -111,7 +112,8 @@ def evaluate(
         time_limit: time limit in seconds, with the design of the policy; default: none. When most of it has passed, the
             best cost so far is returned, with its actual error and ``reached`` False. Other parts of the answer, such
             as periodic control and a lower bound, are omitted with a note if the remaining time is too short.
-        after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one.
+        after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one,
+            and the send rates around changes of the set-points, if they change.
         progress: callback that receives the fraction done.
 
     If the problem states limits of the states, the probabilities of their violation are simulated, whatever the method,
@@ -212,6 +214,10 @@ def _evaluated(
             stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0 - spare))
     with _part("cost without limits", notes):
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
+    around = None
+    if after_step and policy.theory.closed_form is None:  # it sends at fixed steps
+        with _part("send rates around changes of the set-points", notes):
+            around = rates_around_steps(loop, request.seed, pace)
     # the reason why there is no periodic control is no evidence if it is a lack of time
     known = guarantee is not None or fair is not None or no_clock != late_text()
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy) and known
@@ -254,6 +260,7 @@ def _evaluated(
         method=measured.method,
         reason=measured.reason,
         after_step=stepped,
+        set_point_steps=around,
         without_limits=without,
         cost_lqg=policy.theory.cost_lqg if loop.nominal else None,
         proved=guarantee is not None and guarantee.proved,
@@ -455,7 +462,7 @@ def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:
         plain = _without_disturbance(kept)
-        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
+        return send_at_fixed_steps("this controller", problem.plant, problem.cost, period, plain).cost_all_time
     except TaciturnError:  # such as a loop whose cost is infinite
         return None
 
@@ -468,7 +475,9 @@ def _without_disturbance(kept: AnyController) -> AnyController:
         return PIDLoops((replace(first, disturbance=none), *others))
     if isinstance(kept, PID | ContinuousController):
         return replace(kept, disturbance=none)
-    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.rest, kept.start_input)
+    return Controller(
+        kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.start_input, kept.F, kept.G
+    )
 
 
 def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], dict[str, Estimate]]:

@@ -51,6 +51,7 @@ from taciturn.study.sentences import (
     share_text,
     together,
 )
+from taciturn.study.set_point_steps import SetPointSteps
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -384,6 +385,7 @@ class Evaluation(Tabular):
         life: seconds until the battery of each link's sender is empty, where it is given.
         prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
+        set_point_steps: send rates with constant set-points and after a change, or None without stated changes.
         without_limits: how often an input is at its limit, and the loop without limits; None if no input has a limit.
         as_written: the loop without a slow disturbance that a default has added to the plant; None if none was added.
         violations: probabilities that the limits of the problem are violated, or None.
@@ -442,6 +444,7 @@ class Evaluation(Tabular):
         Field("battery_days", optional=True),
         Field("violations", key="violation", optional=True, say="violation", text=_violated),
         Field("after_step", optional=True, say="after a step", text=_sentence("after_step")),
+        Field("set_point_steps", key=SPLICED, optional=True, say="set-points", text=_sentence("set_point_steps")),
         Field("without_limits", key=SPLICED, optional=True, say="limits", text=_sentence("without_limits")),
         Field("as_written", optional=True, say="as written", text=_written_line, after="policy"),
         Field("notes", optional=True, say="note", text=lambda found: list(found.remarks)),
@@ -480,6 +483,7 @@ class Evaluation(Tabular):
     trusted: bool = True
     bound_error: float = 0.0
     after_step: AfterStep | None = None
+    set_point_steps: SetPointSteps | None = None
     power: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
     life: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
     prices: Mapping[str, float] = field(hash=False, default_factory=lambda: {})

@@ -19,7 +19,7 @@ from taciturn._arrays import Array
 from taciturn._progress import Progress, Stages
 from taciturn.base.filter import SEND
 from taciturn.design.kind import usual_nodes
-from taciturn.design.silence import send_every_sample
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.loop import Loop, close
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -133,10 +133,11 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
         return sends_every_sample(policy)
     period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
     network, links = problem.network, policy.scheduled
-    # over several links, which are ideal, the loop with every sample is that of one link
-    sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
+    # over several links, which are ideal, the loop with every sample is that of one link; so it is where a sensor
+    # decides that does not know the set-points
+    sensed = len(links) == 1 and bool(network.nodes[links[0]].measures) and problem.plant.exosystem is None
     link = "sensor" if sensed else "actuator"
-    always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
+    always = send_at_fixed_steps(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
     return replace(always, network=usual_nodes(network, policy.kind)) if len(links) == 1 else always
 
 

@@ -47,6 +47,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.result import Field, Result, plain_fields
+from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import nodes_of
@@ -167,6 +168,11 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
             f"the policy makes send decisions on {number_of(len(nodes.scheduled), 'link')}, and a single rate does "
             "not determine the rate of each link"
         )
+    if isinstance(nodes.model.changes, SampledChanges):
+        raise NoClockError(
+            "the set-points change at known times, and the cost of periodic control is computed only if they are "
+            "constant or change at random times"
+        )
     if nodes.theory.periodic is not None and problem.controller is not None:
         loop = problem.close(nodes)
         if not loop.nominal:
@@ -187,11 +193,6 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
     if nodes.targets:
         raise NoClockError("the policy follows a stored reference, for which periodic control is not computed")
-    if certainty.timed:
-        raise NoClockError(
-            "the set-points change at known times, and the cost of periodic control is computed only if they are "
-            "constant or change at random times"
-        )
     least = certainty.problem.per_unit(certainty.cost_all_time)
     if nodes.theory.periodic is None and abs(least - nodes.cost_all_time) > ALIKE * abs(least):
         if problem.own is None:

@@ -63,7 +63,7 @@ class TimedLinks(Displayed):
         if problem.controller is not None:
             period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
             given = GivenLoop.of(problem.plant, problem.cost, period, problem.controller)
-            slower = SameControl(given.problem, given.kept, given.every_sample())
+            slower = SameControl(given, given.every_sample())
         return TimedLinks(problem.close(policy).deviations, slower)
 
     def cost(self, timings: Mapping[str, Timing]) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn._text import number_of
-from taciturn.base.certainty import expect_average
+from taciturn.base.certainty import expect_average, expect_constant_set_points
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
 from taciturn.base.route import sensor_base
@@ -100,6 +100,7 @@ def design_event_pid(
         )
     expect_average(kind, cost)
     loop = GivenLoop.of(plant, cost, period, kept)
+    expect_constant_set_points(kind, loop.problem.plant)
     (own,) = pids_of(loop.kept)
     plant, step = loop.problem.plant, loop.problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:

@@ -16,13 +16,15 @@ from typing import cast
 import numpy as np
 
 from taciturn._arrays import choice, count
-from taciturn.base.certainty import Actuation, design_certainty
+from taciturn.base.certainty import Actuation, design_certainty, expect_average
 from taciturn.design.at_fixed_steps import every_tick, held_in_cycles, predicted_cost, time_triggered
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.equation import stationary
 from taciturn.lqg.riccati import regulate_continuous
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
@@ -43,6 +45,7 @@ def periodic(
     every: int | Sequence[int] | None = None,
     period: float | None = None,
     actuation: Actuation = "hold",
+    controller: object = None,
 ) -> Policy:
     """Design the optimal time-triggered LQG controller, which sends at fixed steps.
 
@@ -59,6 +62,8 @@ def periodic(
         period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` or ``"model"``; ``"model"`` requires a measured full state if the plant is continuous and
             ``every`` is not given.
+        controller: a linear controller to keep, or an object that ``controller_from`` converts; it computes at every
+            step, also between sends. Default: LQG with the best gains for these sends.
 
     Returns:
         The policy, with its exact cost.
@@ -78,6 +83,10 @@ def periodic(
         {'actuator': 0.2}
     """
     choice("actuation", actuation, ("hold", "model"))
+    if controller is not None:
+        expect_average("periodic", cost)
+        kept, sends = controller_from(controller), _cycle(1 if every is None and period is not None else every)
+        return send_at_fixed_steps("periodic", plant, cost, period, kept, "actuator", sends, actuation)
     if every is None and isinstance(plant, ContinuousPlant):
         if actuation == "model":
             return _predicted(plant, cost, period)
@@ -162,4 +171,5 @@ KIND = Kind(
     order="filter, command, decide by the step counter, send, hold or model, predict",
     usual={"every": 2},
     asked=("every",),
+    keeps_controller=True,
 )

@@ -32,7 +32,7 @@ from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states, steady_filter
-from taciturn.model.controller import controller_from
+from taciturn.model.controller import AnyController, controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.network import IDEAL, Network
@@ -107,8 +107,10 @@ def send_on_delta(
     if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
-    if len(links) > 1:
-        kept = controller_from(controller)
+    kept = None if controller is None else controller_from(controller)
+    # the sensor does not know set-points that change, so it compares outputs alone, as each of several nodes does
+    apart = link == "sensor" and plant.exosystem is not None and not shares
+    if kept is not None and (len(links) > 1 or apart):
         return given_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
         raise ProblemError(
@@ -118,7 +120,7 @@ def send_on_delta(
         )
     if own:
         link = "actuator" if any(network.nodes[one].applies for one in links) else "sensor"
-    return _keep(plant, cost, period, controller, delta, link)
+    return _keep(plant, cost, period, kept, delta, link)
 
 
 def _filter(
@@ -170,14 +172,14 @@ def _keep(
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
-    controller: object,
+    controller: AnyController | None,
     delta: float,
     link: str,
 ) -> Policy:
     """Return the policy that sends when the value that a given controller needs, or its command, has changed by Δ."""
     kind = "send-on-delta"
     expect_average(kind, cost)
-    kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
+    kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller
     loop = GivenLoop.of(plant, cost, period, kept, controller is None)
     route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start, follows=False)
     size = len(route.base.K)

@@ -16,7 +16,7 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._display import Displayed
-from taciturn.base.certainty import expect_average
+from taciturn.base.certainty import expect_average, expect_constant_set_points
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
 from taciturn.base.route import nonempty, sensor_base
@@ -67,6 +67,7 @@ def symmetric_send_on_delta(
     kind, delta = "symmetric-send-on-delta", number("delta", delta, 0.0, LARGEST_PARAMETER)
     expect_average(kind, cost)
     loop = GivenLoop.of(plant, cost, period, controller_from(controller))
+    expect_constant_set_points("symmetric-send-on-delta", loop.problem.plant)
     problem, c = loop.problem, loop.controller
     if problem.plant.outputs != 1:
         raise ProblemError(
