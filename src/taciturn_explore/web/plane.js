@@ -29,6 +29,9 @@ function dense(points) {
   return points.length ? [...found, points.at(-1)] : found;
 }
 
+const lines = (labels) => labels.filter((one) => one.points.length > 2).flatMap((one) => dense(one.points));
+const hit = (box, one) => one[0] > box[0] && one[0] < box[2] && one[1] > box[1] && one[1] < box[3];
+
 export function createPlane(move) {
   const figure = svg("svg", { class: "plane", role: "group", "aria-label": "Cost against traffic" });
   const host = html("div", { class: "figure" }, figure);
@@ -72,7 +75,7 @@ export function createPlane(move) {
   }
 
   // The names of what lies outside of the range, at the edge, with an arrow and the value.
-  function edges(whole, x, y, [top, bottom, left, right], base, mapped) {
+  function edges(whole, x, y, [top, bottom, left, right], base, mapped, curves) {
     const { point, periodic, pinned } = state, here = point.traffic.value, rows = { up: 0, down: 0 }, found = [];
     const excess = (cost) => base ? `${cost >= base ? "+" : "−"}${number(Math.abs(100 * (cost / base - 1)), 3)} %` : number(cost);
     const add = (text, look, traffic, cost, value) => {
@@ -81,7 +84,11 @@ export function createPlane(move) {
       const words = `${side === "up" ? "↑" : "↓"} ${text} ${value ?? excess(cost)}`, size = 6.4 * words.length;
       const line = side === "up" ? top + 10 + ROW * rows.up++ : bottom - 5 - ROW * rows.down++;
       const end = x(traffic) + 18 + size > right;
-      const from = end ? Math.max(left + 4, Math.min(right, x(traffic) - 18) - size) : x(traffic) + 18;
+      const begin = end ? Math.max(left + 4, Math.min(right, x(traffic) - 18) - size) : x(traffic) + 18;
+      const covers = (from) => curves.some((one) => hit([from - 2, line - 11, from + size, line + 4], one));
+      let from = begin; // or farther right, where it covers no curve
+      while (covers(from) && from + size <= right) from += 6;
+      if (from + size > right) from = begin;
       found.push({ look, box: [from - 2, line - 11, from + size, line + 4], node: svg("text", { class: `label edge ${look}`, x: from, y: line }, words) });
     };
     if (periodic) add("periodic", "periodic", here, periodic.value, periodic.above);
@@ -159,10 +166,10 @@ export function createPlane(move) {
     if (along.length > 1) {
       const points = along.map((one) => [x(one.traffic), y(one.cost)]);
       body.append(svg("path", { class: "curve policy", d: line(points) }));
-      labels.push({ first: 1, text: state.kind, class: "policy", points: [...points].sort((a, b) => a[0] - b[0]) });
+      labels.push({ first: 1, text: "this policy", class: "policy", points: [...points].sort((a, b) => a[0] - b[0]) });
     }
     const marks = svg("g", {});
-    const taken = [], outside = edges(whole, x, y, [top, bottom, left, right], base, mapped);
+    const taken = [], outside = edges(whole, x, y, [top, bottom, left, right], base, mapped, lines(labels));
     if (point.every) {
       marks.append(svg("circle", { class: "every", cx: x(whole), cy: y(point.every.cost), r: 4.5 }));
       if (beside) labels.push({ text: "every sample", class: "", points: [[x(whole), y(point.every.cost)], [x(whole) + 7, y(point.every.cost)]] });
@@ -231,9 +238,8 @@ export function createPlane(move) {
   // Put the label of each other curve next to it, where it is free of other labels and of all curves: that of another kind
   // near its upper end, and the others near their right ends.
   function place(labels, left, right, top, bottom, here, edges) {
-    const curves = labels.filter((one) => one.points.length > 2).flatMap((one) => dense(one.points));
+    const curves = lines(labels);
     const taken = [[here[0] - 16, here[1] - 16, here[0] + 16, here[1] + 16], ...edges], found = [];
-    const hit = (box, one) => one[0] > box[0] && one[0] < box[2] && one[1] > box[1] && one[1] < box[3];
     const free = (box) => box[0] >= left && box[2] <= right && box[3] < bottom && !curves.some((one) => hit(box, one))
       && taken.every((one) => box[2] < one[0] || box[0] > one[2] || box[3] < one[1] || box[1] > one[3]);
     for (const label of [...labels].sort((a, b) => (b.first ?? 0) - (a.first ?? 0))) {
