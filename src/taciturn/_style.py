@@ -124,7 +124,7 @@ def policy_looks(described: Sequence[Sequence[object]]) -> list[Thing | int]:
         first = next(here, None)
         if first is not None:
             found[first] = thing
-    left = [one for one in POLICIES if one not in found.values()]
+    left: list[Thing | int] = [one for one in POLICIES if one not in found.values()]
     others = [index for index in range(len(described)) if index not in found]
     for turn, index in enumerate(others):
         found[index] = left[turn % len(left)]

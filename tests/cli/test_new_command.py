@@ -313,10 +313,7 @@ def test_losses_that_no_policy_bears_are_asked_for_again(ask: Ask) -> None:
         "no policy accepts these parts: network.sensor_loss is given, but no node of the policy excess receives a"
         in words
     )
-    assert (
-        "the policy kind 'lqg' cannot use a controller of your own; expected another kind, such as 'excess'"
-        in words
-    )
+    assert "the policy kind 'lqg' cannot use a controller of your own; expected another kind, such as 'excess'" in words
     problem = taciturn.load("new.toml")
     assert (problem.kind, problem.network.links["actuator"].loss) == ("excess", 0.1)
 

@@ -35,7 +35,7 @@ from taciturn import (
     plant_from,
     simulate,
 )
-from taciturn.design.silence import send_every_sample
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
 from taciturn.model.limits import Limits
@@ -151,7 +151,7 @@ def test_a_static_gain_costs_what_a_lyapunov_equation_says(system: System, seed:
     inputs = u @ S @ u.T + G @ V @ G.T
     cost = np.sum(Q * S[:n, :n]) + np.sum(R * inputs) + 2 * np.sum(N * (S[:n] @ u.T))
     kept = Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), G, dt=1.0)
-    found = send_every_sample("kept", given, system.cost, None, kept)
+    found = send_at_fixed_steps("kept", given, system.cost, None, kept)
     assert found.cost_all_time == pytest.approx(cost, rel=1e-8)
 
 
@@ -289,7 +289,7 @@ def test_outputs_are_weighed_with_the_new_input() -> None:
     tables = {**TABLES, "cost": {"weights": "as the controller"}, "controller": controller}
     tables["plant"] = {**TABLES["plant"], "A": (0.7 * A).tolist()}
     problem = parse(tables, "here")
-    every = send_every_sample("kept", problem.plant, problem.cost, None, problem.controller)
+    every = send_at_fixed_steps("kept", problem.plant, problem.cost, None, problem.controller)
     assert every.cost_all_time == pytest.approx(2.0, rel=1e-6)  # one output and one input
 
 

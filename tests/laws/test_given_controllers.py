@@ -18,7 +18,7 @@ from taciturn import PID, Controller, Cost, Disturbance, Loop, Network, Plant, P
 from taciturn.base.given_controller import REMEDY, lqg_observer
 from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import advantage
-from taciturn.design.silence import send_every_sample
+from taciturn.design.silence import send_at_fixed_steps
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
@@ -161,7 +161,7 @@ def test_event_based_pids_with_every_packet_are_the_given_controller(
     """With Δ = 0, a packet comes at every step: the inputs, and so the costs, are those of the row "every sample"."""
     pid = PID(kp, ki, kd, filter * STEP, NO_DISTURBANCE, setpoint=r if ki else 0.0)
     try:
-        given = send_every_sample("pid", TANK, WEIGHTS, None, pid, link="sensor")
+        given = send_at_fixed_steps("pid", TANK, WEIGHTS, None, pid, link="sensor")
     except UnstableError:
         return
     path = taciturn.simulate(taciturn.close(TANK, given), 100, seed=1)
@@ -420,7 +420,7 @@ def test_the_loop_with_every_sample_is_that_of_excess_at_no_cost_of_silence(link
     """One has no filter and nothing to decide; the other has both, and triggers that always send."""
     cost = Cost(np.diag([1.0, 0.0]), [[0.05]], horizon=horizon)
     deciding = design.excess(TANK, cost, delta=0.0, controller=KEPT, link=link)
-    always = send_every_sample("every sample", TANK, cost, None, KEPT, link)
+    always = send_at_fixed_steps("every sample", TANK, cost, None, KEPT, link)
     assert always.cost_all_time == pytest.approx(deciding.cost_all_time, rel=1e-12)
     path, other = (
         taciturn.simulate(taciturn.close(TANK, one, cost=cost), 30) for one in (always, sends_every_sample(deciding))

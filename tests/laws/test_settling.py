@@ -235,7 +235,7 @@ def test_a_long_burn_in_has_fewer_paths() -> None:
     found = average(loop)
     assert 0 < found.burn_in * paths_of(loop, found.burn_in) <= 2**23
     assert found.reached
-    lossy = taciturn.load("lossy-integrator")
+    lossy = taciturn.load("lossy-double-integrator")
     assert paths_of(lossy.close(lossy.design()), 12_000) == 4096
 
 

@@ -42,6 +42,7 @@ WITHOUT = {
     "Violation": "a part of Violations",
     "AsWritten": "a sentence of an evaluation",
     "AfterStep": "a sentence of an evaluation",
+    "SetPointSteps": "a sentence of an evaluation",
     "WithoutLimits": "a sentence of an evaluation",
     "ClockMix": "a number of an evaluation",
     "Course": "arrays for a figure of the user's own",
