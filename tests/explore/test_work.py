@@ -80,6 +80,8 @@ def test_a_worker_that_dies_is_replaced_and_its_job_says_so(pool: Pool) -> None:
     before = processes()
     for process in before:
         os.kill(process, signal.SIGKILL)
+    while before & processes():  # a kill takes effect a little later
+        time.sleep(0.002)
     with pytest.raises(ProblemError, match="has ended"):
         job.result(PATIENCE)
     for rank in (AT_ONCE, LATER):  # of jobs of the worker that was idle, and of the other one

@@ -385,7 +385,7 @@ class Evaluation(Tabular):
         life: seconds until the battery of each link's sender is empty, where it is given.
         prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
-        set_point_steps: send rates with constant set-points and after a change, or None without stated changes.
+        set_point_steps: send rates with constant set-points and after a change; None if no changes are stated.
         without_limits: how often an input is at its limit, and the loop without limits; None if no input has a limit.
         as_written: the loop without a slow disturbance that a default has added to the plant; None if none was added.
         violations: probabilities that the limits of the problem are violated, or None.

@@ -41,7 +41,14 @@ MOST = 2e8  # steps of all paths together
 
 @dataclass(frozen=True, repr=False)
 class SetPointSteps(Result):
-    """Send rates with constant set-points, and after a change."""
+    """Send rates of a loop with constant set-points, and shortly after they change.
+
+    Args:
+        steady: sends per step or per second with constant set-points, by link; empty if a timetable has no such steps.
+        after: sends per step or per second in the window after a change of the set-points, by link.
+        window: length of this window in seconds, or in steps of a plant without ``dt``.
+        seconds: whether the window is in seconds.
+    """
 
     FIELDS: ClassVar[tuple[Field[SetPointSteps], ...]] = (
         Field("steady", key="rates_steady"),
@@ -49,10 +56,10 @@ class SetPointSteps(Result):
         *plain_fields("window"),
     )
 
-    steady: Mapping[str, Estimate] = field(hash=False)  # by link; empty if a timetable has no such steps
-    after: Mapping[str, Estimate] = field(hash=False)  # by link, in the window
-    window: float  # length of the window in seconds, or in steps of a plant without ``dt``
-    seconds: bool  # whether the window is in seconds
+    steady: Mapping[str, Estimate] = field(hash=False)
+    after: Mapping[str, Estimate] = field(hash=False)
+    window: float
+    seconds: bool
 
     def sentence(self, unit: str) -> str:
         """Write the rates as one sentence. The argument states the unit of the rates."""
