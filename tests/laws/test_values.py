@@ -17,7 +17,7 @@ from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Network, Pl
 from taciturn.base.certainty import design_certainty
 from taciturn.base.gains import price_control
 from taciturn.base.route import actuator_base, predicting_actuator, predicting_controller, sensor_base
-from taciturn.base.value import Attempts, Base, advantage, critical_scale
+from taciturn.base.value import Attempts, Base, advantage, cost_of_one_packet, critical_scale
 from taciturn.design.prediction import predict_continuously
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
@@ -297,3 +297,19 @@ def test_the_kinds_are_instances_of_a_base(seed: int) -> None:
     assert p.per_unit(found.cost) == pytest.approx(predicted.cost_all_time, rel=1e-7)
     assert found.H[0, 0] == pytest.approx(predicted.Gamma, rel=1e-7)
     assert np.abs(found.slope).max() < 1e-8 * np.abs(found.P).max()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_packet_in_many_steps_costs_what_the_pattern_says(seed: int) -> None:
+    """Step by step for a few, and at once for millions, which no list of steps could hold."""
+    for base in bases(seed):
+        for steps in (1, 2, 3, 6, 7):
+            known = cost_of_one_packet(base, steps)
+            try:
+                expected = advantage(base, "", Attempts(tuple(k == 0 for k in range(steps)))).cost
+            except UnstableError:
+                assert known is None
+            else:
+                assert known == pytest.approx(expected, rel=1e-8)
+        many = cost_of_one_packet(base, 10_000_000)
+        assert many is None or many > 0

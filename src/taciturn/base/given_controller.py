@@ -40,7 +40,16 @@ from taciturn.base.filter import HELD
 from taciturn.base.gains import price_control
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import actuator_base
-from taciturn.base.value import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, least_value, seen_part
+from taciturn.base.value import (
+    EVERY_SAMPLE,
+    Advantage,
+    Attempts,
+    Base,
+    advantage,
+    cost_of_one_packet,
+    least_value,
+    seen_part,
+)
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
 from taciturn.lqg.followed import Resting
@@ -488,10 +497,7 @@ class SameControl(Displayed):
         """Return the cost if the controller still computes at every step, between packets too; None for an unstable
         loop.
         """
-        try:
-            return advantage(self.base, UNSTABLE, Attempts(tuple(k == 0 for k in range(steps)))).cost
-        except UnstableError:
-            return None
+        return cost_of_one_packet(self.base, steps)
 
     def discretised(self, steps: int) -> float | None:
         """Return the cost if the controller is discretised with the longer interval; None if that is impossible."""

@@ -226,6 +226,37 @@ def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None
     return None if slowest >= 1 else (np.array([P] * len(attempts.losses)), len(cycle) / (1 - slowest))
 
 
+def cost_of_one_packet(base: Base, steps: int) -> float | None:
+    """Return the cost per step if a packet is sent in one of so many steps, without losses; None for an unstable loop.
+
+    The silent steps are doubled, so that a million of them takes as long as twenty.
+    """
+    # k silent steps take the value P to M + Φ'PΦ, and their noise adds tr(PG) + c. After a steps come b more with
+    # M_b + Φ_b'M_aΦ_b, Φ_aΦ_b, G_a + Φ_aG_bΦ_a' and c_a + c_b + tr(M_aG_b).
+    size, n = len(base.silent), len(base.Phi)
+    R, W = base.replaced, np.zeros((size, size))
+    W[:n, :n] = base.noise
+    one = (base.stage, base.silent, W, 0.0)
+    all_of = (np.zeros((size, size)), np.eye(size), np.zeros((size, size)), 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for bit in f"{steps - 1:b}":
+            for more in (all_of, *([one] if bit == "1" else [])):
+                (M, F, G, c), (M2, F2, G2, c2) = all_of, more
+                all_of = M2 + F2.T @ M @ F2, F @ F2, G + F @ G2 @ F.T, c + c2 + float(np.sum(M * G2))
+        M, F, G, c = all_of
+        first = base.silent @ R
+        whole, cycle = symmetrised(R.T @ base.stage @ R + first.T @ M @ first), F @ first
+    if not (np.isfinite(whole).all() and np.isfinite(cycle).all() and np.isfinite(G).all()):
+        return None
+    if radius(cycle) > 1 + GROWTH:
+        return None
+    P, slowest = least_value(cycle, whole)
+    if slowest >= 1:
+        return None
+    after = M + F.T @ P @ F
+    return base.unseen + (float(np.sum(P * G)) + c + float(np.sum(after * W))) / steps
+
+
 def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
     """Return the value after the pattern in each channel state, (s, n + c, n + c), and the time constant in steps."""
     c, states = len(base.K), len(attempts.losses)
