@@ -35,7 +35,7 @@ from taciturn import (
     plant_from,
     simulate,
 )
-from taciturn.design.silence import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import send_at_fixed_steps
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
 from taciturn.model.limits import Limits

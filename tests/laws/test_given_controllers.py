@@ -18,7 +18,7 @@ from taciturn import PID, Controller, Cost, Disturbance, Loop, Network, Plant, P
 from taciturn.base.given_controller import REMEDY, lqg_observer
 from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import advantage
-from taciturn.design.silence import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import send_at_fixed_steps
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate

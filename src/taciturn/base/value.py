@@ -317,15 +317,13 @@ def _without_hidden(cycle: Cycle) -> tuple[Cycle, Array]:
     if not stay or any(np.abs(M @ hidden).max(initial=0.0) > HIDDEN * largest for M in stages):
         return cycle, np.eye(len(unit))
 
-    def shown(fate: Fate) -> Fate:
-        p, F, M = fate
-        return (
-            p,
-            seen.T @ (F / unit[:, None] * unit) @ seen,
-            symmetrised(seen.T @ (M * unit * unit[:, None]) @ seen),
-        )
-
-    return [[[shown(fate) for fate in each] for each in states] for states in cycle], seen / unit[:, None]
+    small = iter(
+        [
+            (p, seen.T @ F @ seen, symmetrised(seen.T @ M @ seen))
+            for (p, _, _), F, M in zip(fates, moves, stages, strict=True)
+        ]
+    )
+    return [[[next(small) for _ in each] for each in states] for states in cycle], seen / unit[:, None]
 
 
 def least_value(F: Array, M: Array) -> tuple[Array, float]:

@@ -8,6 +8,8 @@ is data: a constant that a step counter reads from a table, negative in the step
   equation (``lqg/periodic``). The cost is tr(QΣ) plus that of the pattern.
 * An actuator with a model predicts between sends. k steps after a send, the error of its prediction is the sum of k
   innovations, with the covariance V_k, and its input costs tr(L'HL V_k) more than the best one (``predicted_cost``).
+* A given controller sends every sample, or at the intervals of a cycle; its cost is that of its base
+  (``send_at_fixed_steps``).
 * ``same_nodes`` are the nodes of any policy, whose packets a timetable sends in place of their decisions.
 * ``innovation_at_queries`` has the steps of a sensor that is read by a schedule, and of the filter that hears it.
 
@@ -23,9 +25,20 @@ import numpy as np
 
 from taciturn._arrays import Array, Bits
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, certainty_policy, control_steps
-from taciturn.base.filter import CLOCK, SEND, count_ticks
+from taciturn.base.filter import CLOCK, SEND, FilterSteps, count_ticks, estimate_state
+from taciturn.base.given_controller import GivenLoop, SameControl
+from taciturn.base.route import Actuation as LoopActuation
+from taciturn.base.route import route_over
+from taciturn.base.value import Attempts, advantage
+from taciturn.errors import ProblemError
 from taciturn.lqg.periodic import Pattern, lift
+from taciturn.lqg.stored import controller_loop
+from taciturn.model.controller import AnyController
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import THEORY
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
+from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Assign, Decide, Location, Received, Send, Step
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -64,8 +77,9 @@ def time_triggered(
     average: float,
 ) -> Policy:
     """Return the policy that sends at the given intervals. ``average`` is its average cost per step."""
-    length, sends = sum(intervals), np.cumsum((0, *intervals[:-1]))
-    trigger = Trigger({"silent": Form(), SEND: _turn(np.isin(np.arange(length), sends))})
+    pattern = pattern_of(intervals)
+    length = len(pattern)
+    trigger = Trigger({"silent": Form(), SEND: _turn(np.array(pattern))})
     steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
     return certainty_policy(
         kind,
@@ -81,6 +95,62 @@ def time_triggered(
 
 
 TIMETABLE = "timetable"  # name of its step counter
+
+
+def send_at_fixed_steps(
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    kept: AnyController,
+    link: str = "actuator",
+    intervals: Sequence[int] = (1,),
+    actuation: LoopActuation = "hold",
+) -> Policy:
+    """Return the policy of a given controller that sends at every sample, or at the intervals of a cycle.
+
+    No node decides, so none needs a filter unless it predicts, and the plant need not be detectable.
+    """
+    loop = GivenLoop.of(plant, cost, period, kept)
+    problem, average = loop.problem, not loop.problem.cost.mission
+    plant, pattern = problem.plant, pattern_of(intervals)
+    every = len(pattern) == 1
+    if not every and isinstance(plant.changes, SampledChanges):
+        raise ProblemError(
+            "the set-points change at known times (reference.file), and the controller does not send every sample, so "
+            "its cost is not known; expected steps at random times (reference.steps), or the policy kind all-time"
+        )
+    steady = problem.filter() if actuation == "model" else None
+    estimation = FilterSteps((), (), {}, None) if steady is None else estimate_state(plant, steady)
+    route = route_over(link, problem, loop.controller, actuation, False, start=loop.point.start)
+    found, whole = loop.value(route.base)
+    proved = controller_loop(problem, loop.controller).cost() if plant.changes is None else None
+    nominal = loop.nominal(whole, found.settling, route.base if average else None, proved)
+    costs = nominal.cost if every else advantage(route.base, loop.remedy, Attempts(pattern)).cost
+    sends = Form() if every else _turn(np.array(pattern))
+    decide = Decide(route.node, SEND, Trigger({"silent": Form(constant=float(every)), SEND: sends}))
+    steps = (*estimation.correct, *route.steps((decide,), estimation.predict))
+    claims = Theory()
+    if average:
+        claims = Theory(
+            closed_form=ClosedForm(problem.per_unit(costs), {link: len(intervals) / len(pattern)}),
+            covers=THEORY,
+            periodic=SameControl(loop, route.base),
+        )
+    return nominal.policy(
+        kind,
+        steps,
+        loop.point.begun(steps, {**estimation.initial, **route.initial}),
+        claims,
+        sites=route.sites,
+        locations=() if every else (count_ticks(len(pattern), 0),),
+        notes=loop.notes,
+    )
+
+
+def pattern_of(intervals: Sequence[int]) -> tuple[bool, ...]:
+    """Return whether a packet is sent, for each step of a cycle of intervals."""
+    return tuple(k == 0 for steps in intervals for k in range(steps))
 
 
 def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:

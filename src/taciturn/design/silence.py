@@ -8,7 +8,7 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
     J ≤ J_base + δ (1 − rate).
 
 * A controller of the user, over either link: ``send_for_given``. LQG over a horizon or with a discount, whose slope is
-  zero: ``total_excess``. Packets at fixed steps, without a decision: ``send_at_fixed_steps``.
+  zero: ``total_excess``.
 * Over a link with bursts, the weights depend on the state of the channel. The node keeps its distribution, the
   ``belief``, by the acknowledgements, and the cost of silence is the mean over it (``cost_of_silence``).
 * The theory assumes the model. An alarm watches it: the squares ν'S⁻¹ν of the innovations, averaged with exponential
@@ -44,7 +44,6 @@ from taciturn.base.filter import (
     ESTIMATE,
     HELD,
     SEND,
-    FilterSteps,
     StepCounter,
     by_clock,
     count_ticks,
@@ -62,14 +61,14 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.stored import controller_loop
 from taciturn.model.controller import AnyController, Controller
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Step
-from taciturn.model.theory import INNOVATION, ClosedForm, Identity, Theory
+from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 BELIEF = "belief"
@@ -195,62 +194,6 @@ def send_for_given(
         network=network if lossy else None,
         notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
     )
-
-
-def send_at_fixed_steps(
-    kind: str,
-    plant: Plant | ContinuousPlant,
-    cost: Cost,
-    period: float | None,
-    kept: AnyController,
-    link: str = "actuator",
-    intervals: Sequence[int] = (1,),
-    actuation: LoopActuation = "hold",
-) -> Policy:
-    """Return the policy of a given controller that sends at every sample, or at the intervals of a cycle.
-
-    No node decides, so none needs a filter unless it predicts, and the plant need not be detectable.
-    """
-    loop = GivenLoop.of(plant, cost, period, kept)
-    problem, average = loop.problem, not loop.problem.cost.mission
-    plant, pattern = problem.plant, pattern_of(intervals)
-    every = len(pattern) == 1
-    if not every and isinstance(plant.changes, SampledChanges):
-        raise ProblemError(
-            "the set-points change at known times (reference.file), and the controller does not send every sample, so "
-            "its cost is not known; expected steps at random times (reference.steps), or the policy kind all-time"
-        )
-    steady = problem.filter() if actuation == "model" else None
-    estimation = FilterSteps((), (), {}, None) if steady is None else estimate_state(plant, steady)
-    route = route_over(link, problem, loop.controller, actuation, False, start=loop.point.start)
-    found, whole = loop.value(route.base)
-    proved = controller_loop(problem, loop.controller).cost() if plant.changes is None else None
-    nominal = loop.nominal(whole, found.settling, route.base if average else None, proved)
-    costs = nominal.cost if every else advantage(route.base, loop.remedy, Attempts(pattern)).cost
-    sends = Form() if every else Form(constant=Scheduled(CLOCK, np.where(pattern, -1.0, 1.0)))
-    decide = Decide(route.node, SEND, Trigger({"silent": Form(constant=float(every)), SEND: sends}))
-    steps = (*estimation.correct, *route.steps((decide,), estimation.predict))
-    claims = Theory()
-    if average:
-        claims = Theory(
-            closed_form=ClosedForm(problem.per_unit(costs), {link: len(intervals) / len(pattern)}),
-            covers=THEORY,
-            periodic=SameControl(loop, route.base),
-        )
-    return nominal.policy(
-        kind,
-        steps,
-        loop.point.begun(steps, {**estimation.initial, **route.initial}),
-        claims,
-        sites=route.sites,
-        locations=() if every else (count_ticks(len(pattern), 0),),
-        notes=loop.notes,
-    )
-
-
-def pattern_of(intervals: Sequence[int]) -> tuple[bool, ...]:
-    """Return whether a packet is sent, for each step of a cycle of intervals."""
-    return tuple(k == 0 for steps in intervals for k in range(steps))
 
 
 def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:

@@ -1,10 +1,9 @@
 """Ranges in which the values of a program stay at every step, whatever finite numbers its inputs are.
 
 The range of a value is an interval. Those of the states begin with their first values, or with those that they have
-after the first steps. A step computes the ranges of
-all operations from those of the states, and each range of a state is enlarged such that it contains the next value.
-This is repeated until no range changes any more: then it holds at every step, by induction. A bound that still changes
-after some repetitions becomes infinite, so there is an end.
+after the first steps. A step computes the ranges of all operations from those of the states, and each range of a state
+is enlarged such that it contains the next value. This is repeated until no range changes any more: then it holds at
+every step, by induction. A bound that still changes after some repetitions becomes infinite, so there is an end.
 
 The bounds are computed with the operations of the program. Rounding to the nearest number is monotone, so a bound of
 exact numbers, rounded, bounds the rounded numbers. A square is not negative, and a product of 0 and a finite number is

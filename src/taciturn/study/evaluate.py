@@ -33,7 +33,7 @@ from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
-from taciturn.design.silence import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import send_at_fixed_steps
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops

@@ -18,8 +18,8 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._progress import Progress, Stages
 from taciturn.base.filter import SEND
+from taciturn.design.at_fixed_steps import send_at_fixed_steps
 from taciturn.design.kind import usual_nodes
-from taciturn.design.silence import send_at_fixed_steps
 from taciturn.loop import Loop, close
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant

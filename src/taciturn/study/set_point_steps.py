@@ -95,18 +95,18 @@ def _random(loop: Loop, seed: int, window: int, burn: int) -> tuple[Rates, Rates
     assert isinstance(changes, RandomSteps)
     none = RandomSteps(0.0, np.zeros_like(changes.covariance))
     quiet = replace(loop, problem=replace(loop.problem, plant=altered(plant, {"changes": none})))
-    links, program = loop.policy.scheduled, quiet.program().keep({*sends(loop)})
+    program = quiet.program().keep({*sends(loop)})
     run = prepare(program)
     begun = run(quiet.start(program, PATHS, seed), _whole(burn, cycle), None)
     before = _whole(STEADY * window, cycle)
     found = run(begun.states, before, None)
-    steady = {link: mean(found.sums[name] / before) for link, name in zip(links, sends(loop), strict=True)}
+    steady = {name.link: mean(found.sums[name] / before) for name in sends(loop)}
     states = found.states.copy()
     moved = [row for row, one in enumerate(program.states) if one.name == "x"][-changes.size :]
     root, draws = factor(changes.covariance), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     states[moved] += root @ draws.standard_normal((root.shape[1], PATHS))
     found = run(states, window, None)
-    return steady, {link: mean(found.sums[name] / window) for link, name in zip(links, sends(loop), strict=True)}
+    return steady, {name.link: mean(found.sums[name] / window) for name in sends(loop)}
 
 
 def _timetable(loop: Loop, seed: int, window: int, burn: int) -> tuple[Rates, Rates]:

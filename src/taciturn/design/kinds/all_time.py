@@ -9,9 +9,8 @@ Source: anderson1990optimal
 from __future__ import annotations
 
 from taciturn.base.certainty import design_certainty, expect_average
-from taciturn.design.at_fixed_steps import every_tick
+from taciturn.design.at_fixed_steps import every_tick, send_at_fixed_steps
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.silence import send_at_fixed_steps
 from taciturn.lqg.discrete import discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost

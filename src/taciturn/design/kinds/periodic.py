@@ -17,9 +17,14 @@ import numpy as np
 
 from taciturn._arrays import choice, count
 from taciturn.base.certainty import Actuation, design_certainty, expect_average
-from taciturn.design.at_fixed_steps import every_tick, held_in_cycles, predicted_cost, time_triggered
+from taciturn.design.at_fixed_steps import (
+    every_tick,
+    held_in_cycles,
+    predicted_cost,
+    send_at_fixed_steps,
+    time_triggered,
+)
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.silence import send_at_fixed_steps
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.equation import stationary
