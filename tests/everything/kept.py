@@ -1,4 +1,4 @@
-"""Controllers that a user keeps, LQG over links that drop packets, and slower bases: ``excess`` and ``send-on-delta``.
+"""Controllers that a user keeps, LQG over links that drop packets, and slower bases: ``excess`` and dead bands.
 
 The state of the loop is w = (x, d, c, y, r, h): plant, slow disturbances at the inputs, controller, measurement,
 set-points, and the value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a,
@@ -197,6 +197,7 @@ def gain_for_losses(A: Array, B: Array, Q: Array, R: Array, N: Array, loss: floa
     raise NotModelledError("gains for losses that do not settle")
 
 
+EVENTS = ("event-pid", "event-pid-saturated")
 CYCLES = 60  # of a timetable, after which a loop is taken to repeat itself
 
 
@@ -331,7 +332,7 @@ class KeptPolicy:
 
         Args:
             model, given, link, silence, law, every, retry: as in the file.
-            rule: "cost", "band" or "clock".
+            rule: "cost", "band", "level" or "clock".
             level: δ, or Δ.
             cycle: intervals between the packets of a clock.
             always: whether every sample is attempted.
@@ -404,6 +405,8 @@ class KeptPolicy:
         read, taken = r @ self.follows.D.T, r @ self.follows.B.T
         command = self.c @ given.C.T + y @ given.D.T + read
         sent = command if self.side == "actuator" else y
+        if self.rule == "level":  # the multiples of Δ by which the output is away from the last one
+            sent = self.h + self.level * np.trunc((y - self.h) / self.level)
         if self.silence == "model":
             inner, outer = self.copy[:, :size], self.copy[:, size:]
             seen = inner @ self.C.T
@@ -430,13 +433,17 @@ class KeptPolicy:
         self.c = self.c @ given.A.T + seen @ given.B.T + thought @ given.E.T + taken
         self.prior = estimate @ self.F.T + thought @ self.B.T
         self.h, self.real, self.missed = believed, used, sends & ~arrived
-        applied = u + self.d if self.q else u
-        if self.q:
-            assert given.deviation is not None
-            moved = given.deviation * np.sqrt(1 - given.pole**2)
-            self.pushed, self.d = self.d, given.pole * self.d + moved * self.noise(len(y))
-            return np.hstack([u, applied]), {self.link: sends.astype(float)}
-        return u, {self.link: sends.astype(float)}
+        return self.pushing(u), {self.link: sends.astype(float)}
+
+    def pushing(self, u: Array) -> Array:
+        """Return the input, followed by what the plant gets, if a slow disturbance is added to it; it moves."""
+        given = self.given
+        if not self.q:
+            return u
+        assert given.deviation is not None
+        applied, moved = u + self.d, given.deviation * np.sqrt(1 - given.pole**2)
+        self.pushed, self.d = self.d, given.pole * self.d + moved * self.noise(len(u))
+        return np.hstack([u, applied])
 
     def noise(self, paths: int) -> Array:
         """Return the noise of the slow disturbance, from numbers that a twin shares."""
@@ -445,6 +452,8 @@ class KeptPolicy:
     def _wants(self, k: int, estimate: Array, y: Array, r: Array, sent: Array) -> Array:
         if self.rule == "clock":
             return np.full(len(y), self.sends[k % len(self.sends)])
+        if self.rule == "level":
+            return (np.abs(y - self.h) > self.level).any(axis=1)
         if self.rule == "band":
             return (np.abs(sent - self.h) > self.level).any(axis=1)
         assert self.base is not None
@@ -481,11 +490,63 @@ class KeptPolicy:
         self.copy = np.hstack([inner @ self.F.T + u @ self.B.T, new_outer])
 
 
+class EventPID(KeptPolicy):
+    """A PID that computes at packets, and when its set-point changes, with the time since the last computation."""
+
+    def __init__(self, kept: KeptPolicy, tables: Tables, h: float) -> None:
+        """Take everything of a dead band at the sensor."""
+        vars(self).update(vars(kept))
+        pids, policy = tables["controller"]["pid"], tables["policy"]
+        self.pid, self.seconds = (pids[0] if isinstance(pids, list) else pids), h
+        self.saturated = policy["kind"] == "event-pid-saturated"
+        self.longest = policy.get("longest")
+        self.sign = 1.0 if tables["controller"].get("sign", "negative") == "positive" else -1.0
+        if self.pid.get("setpoint") or "start_input" in self.pid or model_rest(kept.model):
+            raise NotModelledError("an event-based PID that does not start at rest")
+
+    def start(self, paths: int, rng: np.random.Generator) -> None:
+        """Begin."""
+        super().start(paths, rng)
+        self.integral, self.slope, self.filtered, self.command = (np.zeros((paths, 1)) for _ in range(4))
+        self.since, self.silent = np.ones(paths, dtype=int), np.full(paths, 10**6)
+        self.last: Array | None = None
+
+    def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
+        """Make a step."""
+        pid, h = self.pid, self.seconds
+        r = r[:, : self.follows.D.shape[1]] if self.follows.D.shape[1] else np.zeros_like(y)
+        last = r if self.last is None else self.last
+        wants = (np.abs(y - self.h) > self.level).any(axis=1)
+        if self.longest is not None:
+            wants |= self.silent >= max(np.ceil(self.longest / h - 1e-9), 1.0)
+        self.silent = np.where(wants, 1, self.silent + 1)
+        self.h = np.where(wants[:, None], y, self.h)
+        now = (wants | (r != last).any(axis=1))[:, None]
+        time = (self.since * h)[:, None]
+        T = pid["filter"] - h if pid.get("kd") else 0.0
+        filtered = self.h - pid.get("c", 0.0) * r
+        slope = (T * self.slope + pid.get("kd", 0.0) * (filtered - self.filtered)) / (T + time)
+        command = self.sign * (pid.get("kp", 0.0) * (self.h - pid.get("b", 1.0) * r) + self.integral + slope)
+        before = self.h - last
+        area = h * before + (time - h) * (np.clip(before, -self.level, self.level) if self.saturated else before)
+        integral = self.integral + pid.get("ki", 0.0) * (area + h * (last - r))
+        self.command, self.integral = np.where(now, command, self.command), np.where(now, integral, self.integral)
+        self.slope, self.filtered = np.where(now, slope, self.slope), np.where(now, filtered, self.filtered)
+        self.since, self.last = np.where(now[:, 0], 1, self.since + 1), r
+        return self.pushing(self.command), {self.link: wants.astype(float)}
+
+
+def model_rest(model: Model) -> bool:
+    """Return whether a plant starts away from the point around which it is regulated."""
+    return bool(model.mean.any())
+
+
 def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy, KeptPolicy | None]:
     """Return a kind that keeps a controller, or ``excess`` over losses or with a given base, and its twin."""
     policy = tables["policy"]
     kind, silence = policy["kind"], policy.get("actuation", "hold")
-    link = policy.get("link", "sensor" if kind == "send-on-delta" else "actuator")
+    bands = {"send-on-delta": "band", "symmetric-send-on-delta": "level"} | dict.fromkeys(EVENTS, "band")
+    link = policy.get("link", "sensor" if kind in bands else "actuator")
     if not model.average:
         raise NotModelledError("a kept controller over a horizon")
     if model.q or (model.s and "controller" not in tables):
@@ -505,8 +566,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
         given = observer(model, every, policy.get("gains", "lqg"), design, silence)
     base = Base(model, given, link, "hold" if silence == "model" else silence, design, every, follows)
     cycle = policy.get("every", 1) if kind == "periodic" else 1
-    if kind == "send-on-delta":
-        rule, level = "band", float(policy["delta"])
+    if kind in bands:
+        rule, level = bands[kind], float(policy["delta"])
     elif kind in ("all-time", "periodic"):
         rule, level = "clock", 0.0
     else:
@@ -518,10 +579,12 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
     plain = link == "actuator" and every == 1 and silence != "zero" and not (law.lossy and told)
     keys["watched"] = "controller" in tables or not plain  # LQG alone needs no alarm
     own = KeptPolicy(model, given, level=level, base=base, **keys)
+    if kind in EVENTS:
+        own = EventPID(own, tables, h)
     twin = None
     if every == 1 and told:
         free = Law(law.drops, law.moves, law.acknowledged)
-        twin = KeptPolicy(model, given, level=level, base=base, always=True, **{**keys, "law": free})
+        twin = KeptPolicy(model, given, level=level, base=base, always=True, **{**keys, "law": free, "rule": "band"})
     for one in filter(None, (own, twin)):
         one.shared = np.random.default_rng(12345)  # each reads the same numbers
     if law.lossy or model.function is not None:

@@ -358,7 +358,7 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
         NotModelledError: the kind, or what is stated beside it, is not modelled here.
     """
     from everything.clocked import clocked_policy
-    from everything.kept import kept_policy
+    from everything.kept import EVENTS, kept_policy
     from everything.nodes import node_policy
     from everything.remote import remote_policy
 
@@ -372,7 +372,9 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
     linked = [name for name in nodes.actuators if name in nodes.laws]
     if kind in ("distributed", "variance") or (kind == "send-on-delta" and (nodes.named or "controller" not in tables)):
         return node_policy(tables, model, nodes, all_time)
-    keeps = kind in ("excess", "send-on-delta") or ("controller" in tables and kind in ("all-time", "periodic"))
+    keeps = kind in ("excess", "send-on-delta", "symmetric-send-on-delta", *EVENTS) or (
+        "controller" in tables and kind in ("all-time", "periodic")
+    )
     if not keeps and ("controller" in tables or nodes.lossy):
         raise NotModelledError(f"a controller or losses with {kind}")
     options = {"every", "gains", "retry", "link"} & set(policy) if keeps else set()

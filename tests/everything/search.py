@@ -161,6 +161,7 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "each link for itself": ("distributed",),
 }  # fmt: skip
 
+KEEPING = ("distributed", "excess", "send-on-delta", "all-time", "periodic", "event-pid", "symmetric-send-on-delta")
 FOLLOWED = frozenset({"changes", "outputs to follow"})
 """Groups of what a given controller has with some kinds only."""
 
@@ -184,7 +185,7 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
                 add(partner)
     groups = {known[name].group for name in found}
     if "controller" in groups and groups & FOLLOWED:
-        add(f"kind {rng.choice(['distributed', 'excess', 'send-on-delta', 'all-time', 'periodic'])}")
+        add(f"kind {rng.choice([*KEEPING])}")
     wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
     if wishes:
         add(f"kind {rng.choice(wishes)}")

@@ -99,6 +99,31 @@ def test_the_path_without_noise_costs_what_a_timetable_adds() -> None:
     assert bands.cost_all_time == pytest.approx(found.cost_all_time, rel=1e-8)
 
 
+@pytest.mark.parametrize("changes", [OPERATOR, LEVELS], ids=["operator", "timetable"])
+@pytest.mark.parametrize("kind", ["event-pid", "event-pid-saturated", "symmetric-send-on-delta"])
+def test_a_dead_band_of_almost_nothing_leaves_the_controller_as_it_was(kind: str, changes: Changes) -> None:
+    """It then sends every sample: the path is that of all-time, and events at a change of the set-point do no harm."""
+    every = design.all_time(tank(changes), WEIGHTS, controller=KEPT)
+    events = getattr(design, kind.replace("-", "_"))(tank(changes), WEIGHTS, controller=KEPT, delta=1e-9)
+    paths = [taciturn.simulate(close(tank(changes), one, cost=WEIGHTS), 400, seed=3) for one in (every, events)]
+    np.testing.assert_allclose(paths[1].input, paths[0].input, atol=1e-6)
+    np.testing.assert_allclose(paths[1].measurement, paths[0].measurement, atol=1e-6)
+
+
+def test_a_silent_event_pid_computes_when_its_set_point_changes() -> None:
+    """Without any packet: the integral counts the steps so far with the former set-point."""
+    plant = tank(Timetable([0, 1, 2], [[0.0], [2.0], [0.0]]))
+    policy = design.event_pid(plant, WEIGHTS, controller=KEPT, delta=1e6)
+    nodes, h, (kp, ki, kd, T, b, c) = taciturn.Nodes(policy), STEP, (1.2, 0.15, 1.0, 0.5, 0.6, 0.2)
+    inputs = [nodes.step([0.0], reference=[r])[0] for r in [0.0] * 5 + [2.0] * 4 + [0.0] * 2]
+    slope = [kd * -c * 2.0 / (T - h + 6 * h)]  # as if a packet had come a step before the start
+    slope.append(((T - h) * slope[0] + kd * c * 2.0) / (T - h + 4 * h))
+    first = -(kp * -b * 2.0 + slope[0])
+    integral = -ki * h * 2.0  # of the step of the change; the four steps from then on are counted at the next change
+    second = -(integral + slope[1])
+    np.testing.assert_allclose(inputs, [0.0] * 5 + [first] * 4 + [second] * 2, atol=1e-12)
+
+
 def test_weights_of_set_points_are_inputs_of_the_controller() -> None:
     """A PID controller with b and c, and the same controller with F and G, are one policy."""
     first, second = (problem(table, STEPS).design() for table in (PID_TABLE, MATRICES))

@@ -289,15 +289,19 @@ def actuator_base(problem: Discrete, controller: Controller) -> Base:
 
 
 def sensor_base(problem: Discrete, controller: Controller) -> Base:
-    """Return the base loop in which packets carry the measurement to the controller."""
+    """Return the base loop in which packets carry the measurement to the controller, which knows the set-points."""
     plant, c = problem.plant, controller
-    n, k, p = plant.states, len(c.A), plant.outputs
-    state, choice = np.vstack([plant.B, c.E, plant.C @ plant.B]), np.vstack([np.zeros((n, p)), c.B, np.zeros((p, p))])
+    n, k, p, q = plant.states, len(c.A), plant.outputs, plant.sensed
+    state, choice = (
+        np.vstack([plant.B, c.E, plant.C @ plant.B]),
+        np.vstack([np.zeros((n, q)), c.B[:, :q], np.zeros((p, q))]),
+    )
     rest = block_diagonal(plant.A, c.A, np.zeros((p, p)))
     rest[n + k :, :n] = plant.C @ plant.A
-    used = np.hstack([np.zeros((plant.inputs, n)), c.C, np.zeros((plant.inputs, p)), c.D])
-    Phi, Gamma = rest + state @ used[:, :-p], choice + state @ c.D
-    K = np.hstack([np.zeros((p, n + k)), np.eye(p)])
+    rest[n : n + k, n + k + q :] = c.B[:, q:]
+    used = np.hstack([np.zeros((plant.inputs, n)), c.C, np.zeros((plant.inputs, q)), c.D[:, q:], c.D[:, :q]])
+    Phi, Gamma = rest + state @ used[:, :-q], choice + state @ c.D[:, :q]
+    K = np.hstack([np.zeros((q, n + k)), np.eye(q, p)])
     return Base(Phi, Gamma, _stage(problem, used), K, _noise(problem, k))
 
 

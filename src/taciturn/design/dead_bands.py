@@ -131,9 +131,9 @@ def errors_of_one(loop: GivenLoop, link: str, delta: float) -> dict[str, ErrorGa
     plant = loop.problem.plant
     if plant.saturation is not None:  # the loop is not linear
         return {}
-    size = plant.outputs if link == "sensor" else plant.inputs
+    size = plant.sensed if link == "sensor" else plant.inputs
     gains = ErrorGains(loop.every_sample())
-    gain = gains.of_measurement(size, range(size)) if link == "sensor" else gains.of_choice(range(size))
+    gain = gains.of_measurement(plant.outputs, range(size)) if link == "sensor" else gains.of_choice(range(size))
     return {link: ErrorGain(gain, delta * sqrt(size))}
 
 

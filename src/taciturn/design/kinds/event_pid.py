@@ -9,6 +9,9 @@ where a is the area under the error that the variant assumes. The derivative is 
 filter of the given controller is explicit: with its time constant Tf and the step h, D⁺ = (1 − h/Tf) D +
 kd/Tf (y⁺ − y). Both are the same at t = h if T = Tf − h. With this T, the rule with a packet at every step is the given
 controller, with whose cost it is compared.
+
+If the set-point r changes, the controller computes at once, from the last packet. The three parts then have y − b r,
+y − r and y − c r in place of y, and the steps before the change count with the set-point that they had.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn._text import number_of
-from taciturn.base.certainty import expect_average, expect_constant_set_points
+from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
 from taciturn.base.route import sensor_base
@@ -32,12 +35,13 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, controller_from, pids_of
 from taciturn.model.cost import Cost
+from taciturn.model.network import REFERENCE
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Apply, Assign, Decide, Evaluate, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger
 
-HEARD, FRESH = "heard", "fresh"
+HEARD, FRESH, BEFORE = "heard", "fresh", "last set-point"
 STATE = ("command", "area", "derivative", "before", "elapsed")
 
 
@@ -52,21 +56,29 @@ class EventPID(Displayed):
     area: Callable[[Any, Any, float], Any]
 
     def __call__(
-        self, heard: Any, fresh: Any, command: Any, integral: Any, derivative: Any, before: Any, elapsed: Any
+        self, heard: Any, fresh: Any, command: Any, integral: Any, derivative: Any, before: Any, elapsed: Any, *r: Any
     ) -> Any:
-        """Return the command and the state of the controller; without a packet, only the elapsed steps change."""
+        """Return the command and the state of the controller; without a packet, only the elapsed steps change.
+
+        ``r`` are the set-point and that of the previous step, if it may change. A change counts as a packet.
+        """
         pid, time = self.pid, elapsed * self.step
         T = 0.0 if pid.filter is None else pid.filter - self.step
-        slope = (T * derivative + pid.kd * (heard - before)) / (T + time)
-        value = -(pid.kp * heard + integral + slope)
-        area = integral + pid.ki * self.area(heard, time, self.step)
-        new = fresh > 0.5
+        weighted, filtered, new = heard, heard, fresh > 0.5
+        area = self.area(heard, time, self.step)
+        if r:
+            now, last = r
+            weighted, filtered, new = heard - pid.b * now, heard - pid.c * now, new | (now != last)
+            area = self.area(heard - last, time, self.step) + self.step * (last - now)
+        slope = (T * derivative + pid.kd * (filtered - before)) / (T + time)
+        value = -(pid.kp * weighted + integral + slope)
         return (
             np.where(new, value, command),
-            np.where(new, area, integral),
+            np.where(new, integral + pid.ki * area, integral),
             np.where(new, slope, derivative),
-            np.where(new, heard, before),
+            np.where(new, filtered, before),
             np.where(new, 1.0, elapsed + 1.0),
+            *r[:1],
         )
 
 
@@ -100,15 +112,15 @@ def design_event_pid(
         )
     expect_average(kind, cost)
     loop = GivenLoop.of(plant, cost, period, kept)
-    expect_constant_set_points(kind, loop.problem.plant)
     (own,) = pids_of(loop.kept)
     plant, step = loop.problem.plant, loop.problem.plant.dt
-    if plant.inputs != 1 or plant.outputs != 1:
+    if plant.inputs != 1 or plant.sensed != 1:
         raise ProblemError(
-            f"the plant has {number_of(plant.inputs, 'input')} and {number_of(plant.outputs, 'output')}; expected one "
+            f"the plant has {number_of(plant.inputs, 'input')} and {number_of(plant.sensed, 'output')}; expected one "
             f"input and one output for the policy kind {kind}"
         )
     assert step is not None
+    follows = plant.set_points > 0
     steps = 0.0 if longest is None else number("longest", longest, 0.0) / step
     one = np.eye(1)
     late = {} if longest is None else {"late": Form(plus={"age": -1.0}, constant=max(np.ceil(steps - 1e-9), 1.0) - 0.5)}
@@ -125,10 +137,16 @@ def design_event_pid(
     compute: tuple[Step, ...] = (
         Assign("controller", HEARD, ({HEARD: one}, {"y": one}), Received("sensor")),
         Assign("controller", FRESH, ({ONE: 0.0 * one}, {ONE: one}), Received("sensor")),
-        Apply("controller", dict.fromkeys(STATE, 1), EventPID(own, step, area), (HEARD, FRESH, *STATE)),
+        Apply(
+            "controller",
+            dict.fromkeys((*STATE, *([BEFORE] if follows else ())), 1),
+            EventPID(own, step, area),
+            (HEARD, FRESH, *STATE, *((REFERENCE, BEFORE) if follows else ())),
+        ),
         Assign("actuator", "input", {"command": one}),
     )
     initial = {"elapsed": np.ones(1), **_begun(own, loop), **({"age": np.full(1, 1e6)} if late else {})}
+    initial |= {BEFORE: plant.given} if follows else {}
     return policy_of_loop(
         kind,
         loop,
@@ -142,7 +160,7 @@ def design_event_pid(
 def _begun(pid: PID, loop: GivenLoop) -> dict[str, Array]:
     """Return the integral part of the command at the start, and the measurement before it, relative to the rest."""
     plant, steady = loop.problem.plant, loop.point.input
-    before = plant.C @ plant.mean
+    before = (plant.C @ plant.mean)[:1]  # the given controller, too, starts its derivative without the set-point
     integral = steady + pid.kp * (1 - pid.b) * pid.setpoint
     if pid.start_input is not None:
         integral = steady - pid.start_input - pid.kp * before
@@ -203,7 +221,6 @@ KIND = Kind(
     built_in="pid-tank",
     nodes="S, C+A",
     refused="no PID controller; several inputs or outputs",
-    follows=(),
     data="memories `last` and `age` at S; a function computes the controller at C",
     order="compare y with the last sent value, decide, send y, compute, input",
     keeps_controller=True,

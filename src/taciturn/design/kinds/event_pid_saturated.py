@@ -75,7 +75,6 @@ KIND = Kind(
     built_in="pid-tank",
     nodes="S, C+A",
     refused="no PID controller; several inputs or outputs",
-    follows=(),
     data="the memory `last` at S; a function computes the controller at C",
     order="operations of `event-pid`",
     keeps_controller=True,

@@ -16,7 +16,7 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._display import Displayed
-from taciturn.base.certainty import expect_average, expect_constant_set_points
+from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop
 from taciturn.base.route import nonempty, sensor_base
@@ -26,6 +26,7 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
+from taciturn.model.network import REFERENCE
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Apply, Assign, Decide, Received, Send
@@ -67,15 +68,15 @@ def symmetric_send_on_delta(
     kind, delta = "symmetric-send-on-delta", number("delta", delta, 0.0, LARGEST_PARAMETER)
     expect_average(kind, cost)
     loop = GivenLoop.of(plant, cost, period, controller_from(controller))
-    expect_constant_set_points("symmetric-send-on-delta", loop.problem.plant)
     problem, c = loop.problem, loop.controller
-    if problem.plant.outputs != 1:
+    if problem.plant.sensed != 1:
         raise ProblemError(
-            f"the plant has {problem.plant.outputs} outputs; expected one output for the policy kind {kind}"
+            f"the plant has {problem.plant.sensed} outputs; expected one output for the policy kind {kind}"
         )
-    one = np.eye(1)
-    expected = problem.plant.C @ problem.plant.mean  # which both ends know
+    one, read = np.eye(1), {USED: slice(0, 1), REFERENCE: slice(1, None)}  # columns of the controller's B and D
+    expected = (problem.plant.C @ problem.plant.mean)[:1]  # which both ends know
     level = Crossed(delta)(expected)
+    moved = {name: c.B[:, at] for name, at in read.items()}
     changed = Trigger({"silent": Form(), SEND: Form(("moved",), -one, delta**2)})
     steps = (
         Assign("sensor", "moved", {"y": one, LEVEL: -one}),
@@ -84,9 +85,9 @@ def symmetric_send_on_delta(
         Assign("sensor", LEVEL, ({LEVEL: one}, {LEVEL: one, "crossed": one}), SEND),
         Send("sensor", "sensor", (LEVEL,), SEND),
         Assign("controller", USED, ({USED: one}, {LEVEL: one}), Received("sensor")),
-        Assign("controller", "command", nonempty({STATE: c.C, USED: c.D})),
+        Assign("controller", "command", nonempty({STATE: c.C, **{name: c.D[:, at] for name, at in read.items()}})),
         Assign("actuator", "input", {"command": np.eye(problem.plant.inputs)}),
-        *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
+        *((Assign("controller", STATE, nonempty({STATE: c.A, **moved, "command": c.E})),) if len(c.A) else ()),
     )
     initial = {**({STATE: loop.point.start} if len(c.A) else {}), LEVEL: level, USED: level}
     return policy_of_loop(
@@ -119,7 +120,6 @@ KIND = Kind(
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.05},
     built_in="pid-tank",
-    follows=(),
     proved=r"$\sqrt J\le\sqrt{J_b}+\gamma\Delta$, a conservative certificate",
     relative_to="the same controller with every sample",
     nodes="S, C+A",
