@@ -21,8 +21,7 @@ from taciturn_limits.fitted import DIRECTIONS
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}
-FOLLOWS = {("constant", "changing"): "yes", ("constant",): "constant ones", (): "no"}
-KEPT = "those of its controller"
+FOLLOWS = {("constant", "changing"): "yes", ("constant",): "constant ones", ("changing",): "yes", (): "no"}
 
 
 def kind_table(name: str) -> str:
@@ -100,7 +99,7 @@ def limits(kinds: Sequence[Kind]) -> str:
         "no Poisson jumps": lambda kind: "jumps" not in kind.plants,
         "an average cost": lambda kind: kind.costs == ("average",),
         "no set-points and no disturbances of known shape": lambda kind: _set_points(kind) == "no",
-        "the set-points of its controller": lambda kind: _set_points(kind) == KEPT,
+        "no disturbances of known shape": lambda kind: kind.follows == ("changing",),
         "constant set-points": lambda kind: kind.follows == ("constant",),
         "links that deliver every packet, in the design": lambda kind: not kind.takes_losses,
         "one sensor and one actuator": lambda kind: not (kind.several_nodes or kind.joint_links),
@@ -142,8 +141,7 @@ def plants(kind: Kind) -> str:
 
 def _set_points(kind: Kind) -> str:
     """Return which set-points a kind follows."""
-    required = kind.keeps_controller and kind.arguments["controller"].default is Parameter.empty
-    return KEPT if required and not kind.follows else FOLLOWS[kind.follows]
+    return FOLLOWS[kind.follows]
 
 
 def _grouped(heading: Sequence[str], kinds: Iterable[Kind], told: Callable[[Kind], tuple[str, ...]]) -> str:

@@ -52,7 +52,7 @@ def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
     if period is not None and (isinstance(plant, ContinuousPlant) or period.default is period.empty):
         given["period"] = 0.02
     if kind.keeps_controller and kind.arguments["controller"].default is kind.arguments["controller"].empty:
-        given["controller"] = PID(0.01)
+        given["controller"] = PID(0.01, 0.0 if plant.exosystem is None else 0.001)
     try:
         pickle.loads(pickle.dumps(kind.design(plant, cost, **given)))
         if kind.nodes == "none" and isinstance(plant, ContinuousPlant) and plant.jumps is not None:
@@ -83,7 +83,7 @@ def test_a_kind_accepts_the_plants_and_costs_of_its_record(name: str) -> None:
 
 
 FOLLOWED = {
-    "constant": [{"value": [1.0]}, {"disturbances": ExternalDisturbance([0.0, 0.5], 1e-3)}],
+    "constant": [{"value": [1.0]}, {"disturbances": 1e-3}],
     "changing": [
         {"changes": RandomSteps(0.02, [[1.0]])}, {"changes": Timetable([0, 5, 10], [[1.0], [2.0], [1.0]])},
     ],
@@ -97,14 +97,16 @@ FOLLOWED = {
 @pytest.mark.parametrize("word", FOLLOWED)
 def test_a_kind_follows_the_set_points_of_its_record(name: str, word: str) -> None:
     """And refuses others; with a measured state nothing is followed, and a given controller has its own."""
-    kind, cost = CATALOGUE[name], costs_of(2)["average"]
+    kind = CATALOGUE[name]
     if "outputs" not in kind.plants:
         assert kind.follows == ()
         return
-    plant = PLANTS["discrete", "outputs"]
+    plant = (SCALAR if "several" in kind.refused else PLANTS)["discrete", "outputs"]
+    cost = costs_of(plant.states)["average"]
     for given in FOLLOWED[word]:
-        disturbances, changes = given.get("disturbances", ()), given.get("changes")
-        followed = follow(plant, [[1.0, 0.0]], given.get("value"), disturbances, changes)
+        wander, changes = given.get("disturbances"), given.get("changes")
+        disturbances = () if wander is None else ExternalDisturbance([*[0.0] * (plant.states - 1), 0.5], wander)
+        followed = follow(plant, plant.C, given.get("value"), disturbances, changes)
         assert accepted(kind, followed, cost) == (word in kind.follows), given
 
 

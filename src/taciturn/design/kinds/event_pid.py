@@ -223,5 +223,6 @@ KIND = Kind(
     refused="no PID controller; several inputs or outputs",
     data="memories `last` and `age` at S; a function computes the controller at C",
     order="compare y with the last sent value, decide, send y, compute, input",
+    follows=("changing",),
     keeps_controller=True,
 )

@@ -77,5 +77,6 @@ KIND = Kind(
     refused="no PID controller; several inputs or outputs",
     data="the memory `last` at S; a function computes the controller at C",
     order="operations of `event-pid`",
+    follows=("changing",),
     keeps_controller=True,
 )

@@ -126,5 +126,6 @@ KIND = Kind(
     refused="several outputs",
     data="memory `level` at S, `used` at C",
     order="compare y with the level, decide, change and send the level, input",
+    follows=("changing",),
     keeps_controller=True,
 )
