@@ -247,6 +247,7 @@ class Problem(Displayed):
             check_network(policy, self.network)
         else:
             given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
+            given |= {"[[disturbance]] with a load": bool(self.plant.loads)}
             policy.refuse(given | {" or ".join(IDEAL_LINK.intervals): self.network.limited})
         return policy
 
