@@ -433,6 +433,7 @@ def discretise(
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
+    plant = altered(plant, {"loads": ()}) if plant.loads else plant  # designs do not know them
     compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
     return compute(plant, cost, period, prediction)
 

@@ -57,7 +57,7 @@ def with_loads(problem: Discrete, plant: Plant | ContinuousPlant) -> Discrete:
     weights = np.zeros((n + m + len(loads), len(loads)))
     size = n + m + len(hidden)
     weights[:size, : len(hidden)] = cost
-    return replace(problem, loads=SampledLoads(np.column_stack(table), moves, shown, start, weights))
+    return replace(problem, source=plant, loads=SampledLoads(np.column_stack(table), moves, shown, start, weights))
 
 
 def _within_a_period(problem: Discrete, plant: Plant | ContinuousPlant, E: Array) -> tuple[Array, Array]:

@@ -117,7 +117,7 @@ def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturba
         if (path := one.get("file")) is not None:
             if "steps" in one:
                 raise ProblemError("disturbance.steps and disturbance.file are both given; expected only one of them")
-            rows = _rows_of("disturbance.file", path, "value")
+            rows = timed_rows("disturbance.file", path, "value")
             one = {**{key: value for key, value in one.items() if key != "file"}, "steps": rows}
         return ExternalDisturbance(**one)
     except ProblemError as error:
@@ -132,11 +132,11 @@ def changes_of(table: ReferenceKeys) -> Changes | None:
         return RandomSteps(**table["steps"])
     if "file" not in table:
         return None
-    rows = _rows_of("reference.file", table["file"], "set-points")
+    rows = timed_rows("reference.file", table["file"], "set-points")
     return Timetable(rows[:, 0], rows[:, 1:])
 
 
-def _rows_of(key: str, path: str, noun: str) -> Array:
+def timed_rows(key: str, path: str, noun: str) -> Array:
     """Return the numbers of a file of times, with what is so from each time on."""
     try:
         return _rows(read_text(Path(path), LARGEST_TIMETABLE))
@@ -265,17 +265,11 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Convert relative paths in the tables of a problem file to absolute ones. They are relative to ``folder``."""
     found = dict(tables)
     for key in ("controller", "reference"):
-        given = found.get(key)
-        kept = cast("Mapping[str, Any]", given if isinstance(given, Mapping) else {})
-        if isinstance(kept.get("file"), str):
-            found[key] = {**kept, "file": str((folder / kept["file"]).absolute())}
+        if isinstance(found.get(key), Mapping):
+            found[key] = _located(cast("Mapping[str, Any]", found[key]), folder)
     if isinstance(found.get("disturbance"), list):
-        found["disturbance"] = [
-            {**one, "file": str((folder / one["file"]).absolute())}
-            if isinstance(one, Mapping) and isinstance(one.get("file"), str)
-            else one
-            for one in found["disturbance"]
-        ]
+        listed = cast("list[Any]", found["disturbance"])
+        found["disturbance"] = [_located(one, folder) if isinstance(one, Mapping) else one for one in listed]
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
             found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)
@@ -284,6 +278,12 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         path, _, name = named.rpartition(":")
         found[KEY] = f"{(folder / path).absolute()}:{name}"
     return found
+
+
+def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Convert a relative path of the key ``file`` of a table to an absolute one."""
+    path = table.get("file")
+    return {**table, "file": str((folder / path).absolute())} if isinstance(path, str) else dict(table)
 
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
