@@ -269,7 +269,9 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             found[key] = _located(cast("Mapping[str, Any]", found[key]), folder)
     if isinstance(found.get("disturbance"), list):
         listed = cast("list[Any]", found["disturbance"])
-        found["disturbance"] = [_located(one, folder) if isinstance(one, Mapping) else one for one in listed]
+        found["disturbance"] = [
+            _located(cast("Mapping[str, Any]", one), folder) if isinstance(one, Mapping) else one for one in listed
+        ]
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
             found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)
