@@ -107,6 +107,8 @@ def test_a_path_under_a_load_is_that_of_the_plant_as_written(case: str) -> None:
     path = simulate(problem.close(problem.design()), steps)
     assert path.state[:, :2] == pytest.approx(x, abs=1e-6)
     assert path.input == pytest.approx(u, abs=1e-6)
+    if load.get("known"):
+        assert path.estimate == pytest.approx(path.state, abs=1e-6)
     horizon = problem.cost.horizon is not None
     assert path.cost == pytest.approx(cost * (steps * 0.2 if horizon else 1.0), rel=1e-5)
 
