@@ -1,4 +1,4 @@
-"""What moves a plant besides Gaussian noise, as operations of a program: jumps, changes of set-points, and loads.
+"""All that moves a plant besides Gaussian noise, as operations of a program: jumps, set-points that change, and loads.
 
 **Jumps.** Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a jump,
 and ξ has independent entries of mean 0 and variance 1. At the end τ of the step its contribution is
