@@ -81,8 +81,3 @@ class SampledLoads(Displayed):
     shown: Array  # effect of ℓ on the outputs, (p, r)
     start: Array  # what is added to the initial state, (n,)
     weights: Array  # of ℓ in the cost of a step: entries of its matrix for (x, u, ℓ) and ℓ, (n + m + r, r)
-
-    @property
-    def rows(self) -> int:
-        """Number of steps until the last row, with it."""
-        return len(self.table)
