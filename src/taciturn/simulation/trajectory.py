@@ -468,8 +468,9 @@ def _disturbances(path: Trajectory) -> Iterator[_Shown]:
     acting = [] if signals is None else np.flatnonzero(np.vstack([signals.E, signals.G]).any(axis=0)).tolist()
     for number, i in enumerate(acting):
         column = states - len(signals.S) + i if signals is not None else i
-        estimate = path.estimate[:, column] if path.estimate.shape[1] == states else None
-        yield _Shown(f"$d_{{{number + 1}}}$", path.state[:, column], estimate)
+        known = column >= states - path.loop.problem.plant.set_points
+        estimate = path.estimate[:, column] if path.estimate.shape[1] == states and not known else None
+        yield _Shown(f"$d_{{{number + 1}}}$", path.state[:, column], estimate, held=known)
     problem = path.loop.problem
     loads = () if problem.source is None else (one for one in problem.source.loads if one.signal is None)
     for number, one in enumerate(loads, start=len(acting) + 1):
