@@ -35,8 +35,9 @@ from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
 from taciturn.lqg.kalman import resting_states
+from taciturn.lqg.loaded import with_loads
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
+from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, LOADS, ROUNDING, SIMULATED, uncovered
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
@@ -53,7 +54,7 @@ from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_cont
 from taciturn.program.ir import Program
 from taciturn.program.ops import Name, Precision, Sent, Silence, named
 from taciturn.program.ranges import ranges_of_sums
-from taciturn.program.signals import TIMETABLE, add_changes, add_jumps, draw_noise
+from taciturn.program.signals import LOADED, TIMETABLE, add_changes, add_jumps, draw_noise, read_loads
 from taciturn.program.tracing import trace
 from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state
 
@@ -94,6 +95,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         and (cost.mission or (resting_states(plant).any() and not lacks(DRIFT))),
         "inputs are clipped (input_limit)": "plant.input_limit" in missing,
         "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
+        "a load acts on the plant that the design does not know ([[disturbance]] with wander = 0)": lacks(LOADS),
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
         "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
         "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
@@ -101,13 +103,14 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
-    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT]
+    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS]
     return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
 
 
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
+LOAD = "load"  # signal with the loads of a step
 LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
 _SETTING_UP = 4  # steps at the start whose packets are not part of an average
 NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
@@ -228,7 +231,7 @@ class Loop(Displayed):
         plant = self.problem.plant
         program = self.whole_program().keep(sums={Sent(link) for link in self.policy.scheduled})
         begun = {("x", i): float(mean) for i, mean in enumerate(plant.mean) if not plant.covariance[i].any()}
-        if isinstance(plant.changes, SampledChanges):  # starts at a random step of the timetable
+        if isinstance(plant.changes, SampledChanges) or self.problem.loads is not None:  # starts later than step 0
             begun.clear()
         starts = [begun.get(state.start) if isinstance(state.start, tuple) else state.start for state in program.states]
         ranges = ranges_of_sums(program, starts, _SETTING_UP if self.horizon is None else 0)
@@ -265,8 +268,10 @@ class Loop(Displayed):
             tick.take(step)
         tick.signals["input"] = tick.supplied("input", plant.inputs)
         tick.limited(tick.signals["input"], plant.saturation, APPLIED)
+        self._load(tick)
         outputs: dict[Name, int] = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
+        self._load(tick, ahead=True)
         measured = self._measured(tick)
         outputs |= named("y", measured[: plant.sensed]) | named(REFERENCE, measured[plant.sensed :])
         return with_draws(tick.finish({}, outputs | named("x", tick.signals["x"])))
@@ -311,7 +316,8 @@ class Loop(Displayed):
     def start(self, program: Program, paths: int, seed: int, first: int = 0, stationary: bool = False) -> Array:
         """Draw the initial states of a program, (states, paths), for the simulated paths ``first``, ``first`` + 1, …
 
-        A ``stationary`` start begins at a random step of a timetable of set-points. If the policy also repeats a
+        A ``stationary`` start begins after the last change of the loads, and at a random step of a timetable of
+        set-points. If the policy also repeats a
         schedule, only steps at which the schedule starts are drawn, so that schedule and timetable keep their offset.
         """
         plant, network = self.problem.plant, self.network
@@ -327,17 +333,20 @@ class Loop(Displayed):
             place = phase * draws.integers(rows // phase, size=paths)
             x[-changes.size :] += (np.cumsum(changes.table, axis=0) - changes.table)[place].T
             drawn[TIMETABLE] = place.astype(np.float64)[None]
-        begun = {TIMETABLE: (TIMETABLE, 0)} if TIMETABLE in drawn else {}
+        begun: dict[str, tuple[str, int] | float] = {TIMETABLE: (TIMETABLE, 0)} if TIMETABLE in drawn else {}
+        if stationary and self.problem.loads is not None:
+            begun[LOADED] = float(len(self.problem.loads.table) - 1)
         starts = [begun.get(state.name, state.start) for state in program.states]
         rows = [drawn[at[0]][at[1]] if isinstance(at, tuple) else np.full(paths, at) for at in starts]
         return np.array(rows).reshape(len(rows), paths)
 
     def start_of_plant(self, paths: int, seed: int, first: int = 0) -> tuple[Array, np.random.Generator]:
         """Draw the initial states of the plant, (n, paths). Also return the random number generator, for more draws."""
-        plant = self.problem.plant
+        plant, loads = self.problem.plant, self.problem.loads
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
-        return plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T, draws
+        mean = plant.mean if loads is None else plant.mean + loads.start
+        return mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T, draws
 
     def final_cost(self, program: Program, states: Array) -> Array | None:
         """Compute the terminal cost of each path, (paths,); return None if the cost does not weight the final state.
@@ -383,6 +392,7 @@ class Loop(Displayed):
         if supplied:
             tick.recall("x")  # so that x is the first state
         tick.draw_losses(self.policy, self.network)
+        self._load(tick)
         measured = self._measured(tick, supplied)
         measure(tick, self.policy, measured)
         tick.signals["y"] = measured[: self.problem.plant.sensed]
@@ -396,20 +406,28 @@ class Loop(Displayed):
         return tick.finish(self._sums(tick, stage), outputs)
 
     def _measured(self, tick: TimeStep, supplied: bool = False) -> list[int]:
-        plant = self.problem.plant
-        y = tick.combine({"x": plant.C}, plant.outputs)
+        plant, loads = self.problem.plant, self.problem.loads
+        shown = {} if loads is None or not loads.shown.any() else {LOAD: loads.shown}
+        y = tick.combine({"x": plant.C, **shown}, plant.outputs)
         if supplied:
             return add_values(tick, y, tick.supplied("v", plant.outputs))
         return add_values(tick, y, draw_noise(tick, factor(plant.V))) if plant.V.any() else y
 
+    def _load(self, tick: TimeStep, ahead: bool = False) -> None:
+        """Set the signal with the loads of the step, or of the next one."""
+        if self.problem.loads is not None:
+            tick.signals[LOAD] = read_loads(tick, self.problem.loads, ahead)
+
     def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
-        plant = self.problem.plant
+        plant, loads = self.problem.plant, self.problem.loads
+        pushed = {} if loads is None else {LOAD: loads.moves}
         if plant.function is not None:
             noise = self._disturbance(tick, supplied) or [tick.builder.constant(0.0)] * plant.states
             given = {"x": tick.read("x"), "u": tick.read("applied"), "w": noise}
-            return trace(tick.builder, plant.function.function, given, {"x": plant.states})["x"]
+            moved = trace(tick.builder, plant.function.function, given, {"x": plant.states})["x"]
+            return add_values(tick, moved, tick.combine(pushed, plant.states)) if pushed else moved
         drift = {} if plant.drift is None else {ONE: plant.drift[:, None]}
-        moved = tick.combine({"x": plant.A, "applied": plant.B, **drift}, plant.states)
+        moved = tick.combine({"x": plant.A, "applied": plant.B, **drift, **pushed}, plant.states)
         noise = self._disturbance(tick, supplied)
         return add_values(tick, moved, noise) if noise else moved
 
@@ -431,8 +449,11 @@ class Loop(Displayed):
         return state, deviation(tick, "applied", targets.get("applied"), rest and rest.u)
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
-        p = self.problem
-        return Form((state, applied), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
+        p, loads = self.problem, self.problem.loads
+        M = np.block([[p.Q, p.N], [p.N.T, p.R]])
+        if loads is None or not loads.weights.any() or constant:  # of an estimate without the plant, there is none
+            return Form((state, applied), M, constant)
+        return Form((state, applied, LOAD), np.hstack([np.vstack([M, loads.weights[: len(M)].T]), loads.weights]))
 
     def _add_sums(self, tick: TimeStep) -> None:
         """Set the signals that the theory computes from those of several nodes."""
@@ -509,6 +530,7 @@ def close(
             )
     problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
     problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem
+    problem = with_loads(problem, plant)
     SIMULATED.check(network, policy.parts, policy.designed_for)
     policy = with_intervals(policy, network)
     check_network(policy, network)
@@ -518,6 +540,9 @@ def close(
             f"cost.horizon is {cost.horizon}, but the reference has {number_of(policy.cost.horizon, 'step')}; "
             "expected a horizon as long as the reference"
         )
-    missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
+    # the changes of a disturbance that the design estimates or knows are a transient, which an average does not see
+    passing = not cost.mission and all(one.signal is not None for one in plant.loads)
+    covers = policy.theory.covers | (LOADS if passing else frozenset[str]())
+    missing = uncovered(covers, plant, problem.plant, cost, network, policy.parts)
     loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing))
     return loop.in_units if network.rounded else loop  # the rounding depends on the units

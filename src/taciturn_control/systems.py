@@ -18,7 +18,7 @@ from taciturn.errors import ProblemError
 from taciturn.extend import Array, ArrayLike, instance
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import registered
-from taciturn.model.coverage import PLANTS, POINT, Coverage
+from taciturn.model.coverage import LOADS, PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -30,7 +30,7 @@ from taciturn.program.all_nodes import translate_policy
 from taciturn.program.ops import Entry, Sent
 
 _NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
-_CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
+_CONVERTED = Coverage(PLANTS - POINT - LOADS, "systems of python-control do not model")
 
 
 def to_control(

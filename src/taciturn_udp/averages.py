@@ -28,8 +28,10 @@ APART = 3.0  # least length of a batch in time constants of the loop, or six of 
 
 
 def settled(loop: Loop) -> int:
-    """Return how many steps at the start an average omits, because the loop has not settled yet."""
-    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.theory.settling))
+    """Return how many steps at the start an average omits, because loads change or the loop has not settled yet."""
+    loads = loop.problem.loads
+    changing = 0 if loads is None else len(loads.table) - 1
+    return 0 if loop.horizon is not None else changing + int(np.ceil(SETTLED * loop.policy.theory.settling))
 
 
 def piece_of(loop: Loop) -> tuple[float, float, str]:
@@ -41,7 +43,7 @@ def piece_of(loop: Loop) -> tuple[float, float, str]:
     """
     changes, settling = loop.problem.plant.changes, loop.policy.theory.settling
     found = [(float(FEWEST), 1.0, "steps"), (APART * settling, settling, "time constants of the loop")]
-    if isinstance(changes, RandomSteps):
+    if isinstance(changes, RandomSteps) and changes.rate:
         found.append((1 / changes.rate, 1 / changes.rate, "changes of set-points"))
     if isinstance(changes, SampledChanges):
         table = float(len(changes.table))

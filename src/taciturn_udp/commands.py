@@ -17,6 +17,7 @@ from taciturn.cli.frame import (
     EXAMPLE,
     File,
     Json,
+    Loads,
     NoFunctions,
     Seed,
     Settings,
@@ -191,6 +192,7 @@ def network(
             "seed selects.",
         ),
     ] = None,
+    loads: Loads = None,
     as_json: Json = False,
     verbose: Verbose = False,
 ) -> None:
@@ -203,7 +205,7 @@ def network(
     problem = load_changed(file, settings, no_functions)
     if world is not None:
         others = {"--steps": steps, "--real-time": real_time, "--tick": tick, "--loss": loss}
-        others |= {"--namespaces": namespaces, "--seed": seed, "--key": key}
+        others |= {"--namespaces": namespaces, "--seed": seed, "--key": key, "--load": loads}
         from taciturn.extend import load_plugin
 
         run_world = load_plugin("taciturn.worlds", "faults", "--world")
@@ -220,7 +222,7 @@ def network(
     with progress_bar("running") as progress:
         found = run_network(
             file, settings=settings or (), steps=steps, tick=length, seed=seed, key=read_keys(key), fates=fates,
-            namespaces=namespaces, progress=progress, functions=not no_functions,
+            namespaces=namespaces, progress=progress, functions=not no_functions, loads=loads or (),
         )  # fmt: skip
     print_result(found, as_json, verbose, problem)
 
@@ -396,6 +398,7 @@ def plant(
     log: Log = None,
     loops: Loops = 1,
     seed: Seed = 0,
+    loads: Loads = None,
 ) -> None:
     """Simulate the plant of a problem for nodes that run as other processes."""
     from taciturn.extend import until_stopped
@@ -409,7 +412,7 @@ def plant(
     from taciturn_udp.service import say, say_where
 
     check_counts({"--steps": steps, "--loops": loops})
-    problem = load_changed(file, settings, no_functions)
+    problem = load_changed(file, settings, no_functions, loads)
     loop = problem.close(problem.design())
     length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]

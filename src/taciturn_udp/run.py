@@ -27,6 +27,7 @@ from taciturn.nodes.keys import Keys, read_keys
 from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem, load
+from taciturn.problem.loads import with_added_loads
 from taciturn.problem.settings import parse_settings
 from taciturn.problem.without_file import PASSED, as_problem, pass_problem
 from taciturn.simulation.average import base_rate
@@ -57,6 +58,7 @@ def run_network(
     fates: Mapping[str, Fate] | None = None,
     namespaces: bool = False,
     functions: bool = True,
+    loads: Sequence[str] = (),
     progress: Progress | None = None,
     meanwhile: Callable[[Processes], None] | None = None,
 ) -> NetworkRun:
@@ -77,6 +79,7 @@ def run_network(
         namespaces: whether each node runs in its own network namespace, in which the kernel drops packets with the
             losses of ``[network]``.
         functions: whether the file may name functions, which are executed.
+        loads: loads that are added to the simulated plant, each of the form VALUE@SECONDS as in ``--load``.
         progress: callback that receives the fraction done.
         meanwhile: function that is called in a separate thread when all processes run, to disturb them.
 
@@ -89,7 +92,7 @@ def run_network(
     changes = parse_settings(list(settings))
     problem = problem.changed(changes) if changes else problem
     policy = problem.design()
-    loop = problem.close(policy)
+    loop = with_added_loads(problem, loads).close(policy)
     count("seed", seed, 0)
     steps = loop.checked_steps(steps if steps is not None else problem.cost.horizon or USUAL)
     key = read_keys() if key is None else key

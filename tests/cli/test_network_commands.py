@@ -9,9 +9,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from counts import few
 
+from taciturn import Plant, load
 from taciturn_udp.endpoint import Endpoint, free_addresses
 from taciturn_udp.processes import Process
 from taciturn_worlds.invariants import RECOVERY, BrokenError
@@ -271,3 +273,24 @@ def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
     actuator.kill()
     plant.close()
     listener.close()
+
+
+def test_a_plant_of_its_own_gets_a_load(run: Run, tmp_path: Path) -> None:
+    """Without nodes, its state moves by the load from the given time on, beyond that of the same noise."""
+    paths = list[np.ndarray]()
+    for name, more in (("without", ()), ("with", ("--load", "0.3@2", "--load", "-0.3@4"))):
+        log = tmp_path / f"{name}.jsonl"
+        found = run(
+            "plant", "two-mass", "--peer", "127.0.0.1:9", "--real-time", "--tick", "0.0002", "--steps", "60",
+            "--log", str(log), *more,
+        )  # fmt: skip
+        assert found.code == 0, found.err
+        paths.append(np.array([json.loads(line)["x"] for line in log.read_text().splitlines()]))
+    plant = load("two-mass").plant
+    assert isinstance(plant, Plant)
+    assert plant.dt is not None
+    x, steps = np.zeros(plant.states), 60
+    for k in range(steps):
+        x = plant.A @ x + plant.B[:, 0] * (0.3 if 2 <= k * plant.dt < 4 else 0.0)
+        assert paths[1][k] - paths[0][k] == pytest.approx(x, abs=1e-9)
+    assert np.abs(x).max() > 1e-3

@@ -301,7 +301,7 @@ def compare(
     model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
-    if world is not model:
+    if world is not model or (world.loads is not None and (world.loads.values.size or not world.average)):
         twin = None
     paths, steps = PATHS * (4 if longer > 1 else 1), OWN_STEPS * (4 if longer > 1 else 1)
     if not model.average:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Tables = dict[str, Any]
+STEP = 0.2  # seconds per step of a continuous plant
 DIGITS = 4  # of drawn numbers, so that files are readable
 
 

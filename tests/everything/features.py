@@ -15,11 +15,11 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from everything.draft import Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
+from everything.disturbances import bias, disturbance, load, stepping_bias
+from everything.draft import STEP, Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
 
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 
-STEP = 0.2  # seconds per step of a continuous plant
 HORIZON = 12
 
 
@@ -249,27 +249,6 @@ def slowed(draft: Draft) -> None:
 
 
 # -- disturbances and set-points
-
-
-def disturbance(kind: str) -> Callable[[Draft], None]:
-    """Add a disturbance."""
-
-    def add(draft: Draft) -> None:
-        entry: Tables = {"enters": rows(draft.matrix("B")[:, 0]), "kind": kind, "wander": 0.01}
-        if kind == "sinusoid":
-            entry["frequency"] = 0.3
-        if kind == "matrix":
-            entry["matrix"] = [[0.0, 1.0], [-1.0, -0.4]] if draft.continuous else [[0.9, 0.3], [-0.3, 0.9]]
-        draft.tables.setdefault("disturbance", []).append(entry)
-
-    return add
-
-
-def bias(draft: Draft) -> None:
-    """Add a second disturbance, which biases the first output."""
-    need(draft, "C")
-    entry = {"enters": [0.0] * draft.states, "measured": [1.0] + [0.0] * (draft.outputs - 1), "wander": 0.002}
-    draft.tables.setdefault("disturbance", []).append(entry)
 
 
 def follow(draft: Draft) -> Tables:
@@ -770,10 +749,14 @@ def features() -> list[Feature]:
     }
     signals = {
         "constant disturbance": ("disturbance", disturbance("constant")),
+        "load": ("load", load({"wander": 0.0})),
+        "load from a file": ("load", load({"wander": 0.0}, True)),
+        "known load": ("load", load({"known": True})),
         "ramp": ("disturbance", disturbance("ramp")),
         "sinusoid": ("disturbance", disturbance("sinusoid")),
         "disturbance by a matrix": ("disturbance", disturbance("matrix")),
         "biased sensor": ("bias", bias),
+        "bias that steps": ("bias", stepping_bias),
     }
     networks = {
         "one sensor by name": ("nodes", nodes(1, 1)),

@@ -87,6 +87,7 @@ class Distributed:
         """Begin."""
         size = len(self.model.A)
         zero = np.zeros((paths, size))
+        self.told = np.zeros((paths, self.model.s))
         self.xi0, self.held = zero.copy(), np.zeros((paths, self.model.m))
         self.xi = {name: zero.copy() for name in self.sensors}
         self.sent = {name: zero.copy() for name in self.sensors}  # the sender's copy
@@ -104,6 +105,8 @@ class Distributed:
         model = self.model
         closed = model.A + model.B @ self.L
         flags: dict[str, Array] = {}
+        self.xi0 += (r - self.told) @ self.left[:, model.known].T  # the prior contains what is told
+        self.told = r
         estimate = self.xi0.copy()
         for name, one in self.sensors.items():
             self.xi[name] = self.xi[name] @ self.Omega.T + y[:, one.outputs] @ one.gain.T
@@ -129,8 +132,6 @@ class Distributed:
                 copies[name] = np.where(which[:, None], self.xi[name], copies[name])
                 models[name] = np.where(which[:, None], self.local[name], models[name])
             estimate += self.got[name]
-        if model.s:
-            estimate[:, model.known] = r
         command = estimate @ self.L.T
         silent = self.believed.copy()
         real = self.held.copy()

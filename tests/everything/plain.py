@@ -48,6 +48,27 @@ class Changes:
 
 
 @dataclass(frozen=True)
+class Loads:
+    """Disturbances with stated values: those that no filter knows, and changes of those with a state.
+
+    Args:
+        values: the first ones at each step, (steps, r); the last row remains.
+        push: effect of the values on z; seen: on the outputs.
+        joint: their weights with (x, v, u), (…, r), as of ``Model.pushed``; alone: their own.
+        start: what is added to z at first.
+        moves: what is added to z at the end of each step, (steps, …), then nothing.
+    """
+
+    values: Array
+    push: Array
+    seen: Array
+    joint: Array
+    alone: Array
+    start: Array
+    moves: Array
+
+
+@dataclass(frozen=True)
 class Model:
     """A problem in discrete time, in deviations from the operating point.
 
@@ -103,6 +124,7 @@ class Model:
     function: Callable[[Array, Array, Array], Array] | None
     before: int
     D: Array
+    loads: Loads | None = None
 
     @property
     def pushing(self) -> Array:
@@ -164,7 +186,15 @@ def model_of(tables: Tables, folder: Path) -> Model:
     W = matrix(plant["W"]) if jumps is None else jumps["rate"] * matrix(jumps["covariance"])
     E, S, G, Wd = exosystem_of(tables, continuous, n, len(C))
     Cz, Dz, value, changes = set_points_of(tables, plant, C, D, x0, u0, h, folder)
-    q, s = len(S), len(Cz)
+    told = [one for one in tables.get("disturbance", []) if one.get("known")]  # given as set-points are, after them
+    Ek, Gk = (np.array([one.get(key, np.zeros(size)) for one in told]).reshape(len(told), size).T
+              for key, size in (("enters", n), ("measured", len(C))))  # fmt: skip
+    changes = replace(
+        changes, root=None if changes.root is None else block(changes.root, np.zeros((len(told), len(told)))),
+        levels=None if changes.levels is None else np.pad(changes.levels, ((0, 0), (0, len(told)))),
+    )  # fmt: skip
+    value = np.concatenate([value, [stairs(one, folder)[1][0] for one in told]])
+    q, s = len(S), len(Cz) + len(told)
     if (q or s) and full:
         raise NotModelledError("disturbances of a plant whose state is measured")
     # sampling of (x, d, u) together; set-points are constant between samples
@@ -181,12 +211,13 @@ def model_of(tables: Tables, folder: Path) -> Model:
         Fd, Wxd_d, Ad, Bd, Qd, Rd, Nd = F, Wxd, A, B, Q, R, N
         pushed = block2(Q, np.hstack([np.zeros((n, m)), N]), block(np.zeros((m, m)), R))
     Ed, Sd = Fd[:n, n:], Fd[n:, n:]
-    Sa, Ea = block(Sd, np.eye(s)), np.hstack([Ed, np.zeros((n, s))])
-    target = np.hstack([np.zeros((len(Cz), q)), -np.eye(s)])
+    Ekd = held(A, Ek, h) if continuous else Ek
+    Sa, Ea = block(Sd, np.eye(s)), np.hstack([Ed, np.zeros((n, len(Cz))), Ekd])
+    target = np.hstack([np.zeros((len(Cz), q)), -np.eye(s)[: len(Cz)]])
     X, U = regulator_equations(Ad, Bd, Ea, Sa, Cz, Dz, target, block2(Q, N, R)) if q + s else (np.zeros((n, 0)),
                                                                                          np.zeros((m, 0)))  # fmt: skip
     Aa = np.block([[Ad, Ea], [np.zeros((q + s, n)), Sa]])
-    Ba, Ca = np.vstack([Bd, np.zeros((q + s, m))]), np.hstack([C, G, np.zeros((len(C), s))])
+    Ba, Ca = np.vstack([Bd, np.zeros((q + s, m))]), np.hstack([C, G, np.zeros((len(C), len(Cz))), Gk])
     to = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
     stage = to.T @ block2(Qd, Nd, Rd) @ to
     rest = 0.0
@@ -207,7 +238,7 @@ def model_of(tables: Tables, folder: Path) -> Model:
     found = Model(
         Aa, Ba, Ca, V, draw, Wa, stage, pushed, rest, h, continuous, n, q, s, Qd, Rd, Nd, X, U, mean, covariance, value,
         changes, cost.get("horizon"), float(cost.get("discount", 1.0)), terminal, low, high, slew, (x0, u0), function,
-        0, D,
+        0, D, loads_of(tables, folder, h, continuous, (A, B), (Q, R, N), q, s, len(C)),
     )  # fmt: skip
     fed = "D" in plant or "D" in plant.get("actual", {})
     return showing(found, Sa) if fed else found
@@ -237,8 +268,12 @@ def showing(model: Model, S: Array) -> Model:
         assert f is not None
         return np.concatenate([f(x[:n], u, w[:n]), u])
 
+    loads = model.loads
+    if loads is not None:
+        loads = replace(loads, push=tall(loads.push), joint=tall(loads.joint), start=tall(loads.start[:, None])[:, 0],
+                        moves=wide(loads.moves))  # fmt: skip
     return replace(
-        model, A=wide(tall(model.A)), B=B, C=C, noise=lambda rng, paths: wide(model.noise(rng, paths)),
+        model, loads=loads, A=wide(tall(model.A)), B=B, C=C, noise=lambda rng, paths: wide(model.noise(rng, paths)),
         W=wide(tall(model.W)), stage=wide(tall(model.stage)), pushed=wide(tall(model.pushed)), n=n + m,
         Q=wide(tall(model.Q)), N=tall(model.N), X=X, mean=np.concatenate([model.mean, np.zeros(m)]),
         covariance=wide(tall(model.covariance)), terminal=wide(tall(model.terminal)),
@@ -305,6 +340,8 @@ def exosystem_of(tables: Tables, continuous: bool, n: int, p: int) -> tuple[Arra
     """Return E, S, G and the noise of the disturbances; the first state of each is its value."""
     E, S, G, W = np.zeros((n, 0)), np.zeros((0, 0)), np.zeros((p, 0)), np.zeros((0, 0))
     for one in tables.get("disturbance", []):
+        if one.get("known") or not one["wander"]:
+            continue
         kind, w = one.get("kind", "constant"), float(one.get("frequency", 0.0))
         if kind == "constant":
             own, moved = np.array([[0.0 if continuous else 1.0]]), [1.0]
@@ -325,12 +362,67 @@ def exosystem_of(tables: Tables, continuous: bool, n: int, p: int) -> tuple[Arra
     return E, S, G, W
 
 
+def stairs(one: Tables, folder: Path) -> tuple[Array, Array]:
+    """Return the times of the values of a disturbance, from 0 on, and these values."""
+    rows = np.loadtxt(folder / one["file"], delimiter=",", ndmin=2) if "file" in one else matrix(one["steps"])
+    return np.r_[0.0, rows[:, 0]], np.r_[one.get("initial", 0.0), rows[:, 1]]
+
+
+def loads_of(
+    tables: Tables, folder: Path, h: float, continuous: bool, plant: tuple[Array, Array], weights: tuple[Array, ...],
+    q: int, s: int, p: int,
+) -> Loads | None:  # fmt: skip
+    """Return the stated values of disturbances at the steps; those that no filter knows are held between them."""
+    (A, B), (Q, R, N), listed = plant, weights, tables.get("disturbance", [])
+    n, m = B.shape
+    stated = [one for one in listed if "steps" in one or "file" in one]
+    if not stated:
+        return None
+    rows = 60
+    sizes = [
+        0 if one.get("known") or not one["wander"] else 1 if one.get("kind", "constant") == "constant" else 2
+        for one in listed
+    ]
+    known = [one for one in listed if one.get("known")]
+    start, moves = np.zeros(n + q + s), np.zeros((rows, n + q + s))
+    values, E, G = list[Array](), list[Array](), list[Array]()
+    for one in stated:
+        times, levels = stairs(one, folder)
+        level = levels[np.searchsorted(times, np.arange(rows + 1) * h * (1 + 1e-9), side="right") - 1]
+        if one.get("known"):
+            moves[:, n + q + s - len(known) + known.index(one)] = np.diff(level)
+        elif one["wander"]:
+            place = n + sum(sizes[: listed.index(one)])
+            start[place], moves[:, place] = level[0], np.diff(level)
+        else:
+            values.append(level[:-1])
+            E.append(np.array(one["enters"], dtype=float))
+            G.append(np.array(one.get("measured", np.zeros(p)), dtype=float))
+    r = len(values)
+    E, G = np.array(E).reshape(r, n).T, np.array(G).reshape(r, p).T
+    joint, alone = np.zeros((n + 2 * m, r)), np.zeros((r, r))
+    if continuous:
+        into = np.hstack([B, np.zeros((n, m)), E])
+        _, Rl, Nl = sampled_weights(
+            A,
+            into,
+            Q,
+            block(np.zeros((m, m)), R, np.zeros((r, r))),
+            np.hstack([np.zeros((n, m)), N, np.zeros((n, r))]),
+            h,
+        )
+        joint, alone = np.vstack([Nl[:, 2 * m :], Rl[: 2 * m, 2 * m :]]), Rl[2 * m :, 2 * m :]
+        E = held(A, E, h) if r else E
+    push = np.vstack([E, np.zeros((q + s, r))])
+    return Loads(np.array(values).reshape(r, rows).T, push, G, joint, alone, start, moves)
+
+
 def set_points_of(
     tables: Tables, plant: Tables, C: Array, D: Array, x0: Array, u0: Array, h: float, folder: Path
 ) -> tuple[Array, Array, Array, Changes]:
     """Return what is kept at set-points, C_z x + D_z u, these as deviations, and how they change."""
     table = tables.get("reference")
-    if table is None and "disturbance" not in tables:
+    if table is None and not any(one.get("known") or one["wander"] for one in tables.get("disturbance", [])):
         return np.zeros((0, C.shape[1])), np.zeros((0, len(u0))), np.zeros(0), Changes()
     table = table or {}
     if "states" in table:
@@ -566,10 +658,20 @@ class World:
         self.model, self.z = model, np.zeros((paths, len(model.A)))
         self.z[:, : model.n] = start
         self.z[:, model.known] = model.value
+        self.k = 0
+        if model.loads is not None:
+            self.z += model.loads.start
 
     def measure(self, v: Array) -> Array:
         """Return the measurements."""
-        return self.z @ self.model.C.T + v
+        loads = self.model.loads
+        return self.z @ self.model.C.T + v + (0.0 if loads is None else loads.seen @ self.load)
+
+    @property
+    def load(self) -> Array:
+        """The values of the disturbances that no filter knows."""
+        assert self.model.loads is not None
+        return self.model.loads.values[min(self.k, len(self.model.loads.values) - 1)]
 
     def move(self, u: Array, w: Array, dr: Array) -> Array:
         """Apply inputs; return the costs of the step. Twice as many columns: inputs, and these with disturbances."""
@@ -582,6 +684,10 @@ class World:
             joint, weight = np.hstack([z, u]), model.stage
         given, u = u[:, : model.m], u[:, -model.m :]
         cost = np.einsum("pi,ij,pj->p", joint, weight, joint) + model.rest
+        if model.loads is not None:
+            m, there, steady = model.m, z[:, model.n :] @ model.X.T, z[:, model.n :] @ model.U.T
+            joint = np.hstack([z[:, : model.n] - there, u[:, -m:] - steady, u[:, :m] - steady])
+            cost = cost + 2 * joint @ model.loads.joint @ self.load + self.load @ model.loads.alone @ self.load
         if model.function is None:
             self.z = z @ model.A.T + u @ model.B.T + w
         else:
@@ -591,6 +697,10 @@ class World:
             self.z[:, :n] = np.array([model.function(*one) for one in moved]) - x0 + z[:, n:] @ model.A[:n, n:].T
         self.z[:, model.n - model.before : model.n] = given[:, : model.before]
         self.z[:, model.known] += dr
+        if model.loads is not None:
+            self.z += model.loads.push @ self.load
+            self.z += model.loads.moves[self.k] if self.k < len(model.loads.moves) else 0.0
+        self.k += 1
         return cost
 
 
@@ -647,6 +757,7 @@ def simulate(
     if twin is None or twin.exact is None:
         return Answer(mean_of(totals[0] / scale), rates)
     exact = twin.exact / (model.seconds if model.average else 1.0)
+    assert model.loads is None or not (model.loads.push.any() or model.loads.seen.any())
     differences = mean_of((totals[0] - totals[1]) / scale)
     return Answer((exact + differences[0], differences[1]), rates, exact, mean_of(totals[1] / scale))
 

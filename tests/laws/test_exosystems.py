@@ -390,7 +390,7 @@ PUSHED = {"enters": [1.0], "kind": "sinusoid", "wander": 1e-3}
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"disturbance": [{"enters": [1.0]}]}, r"disturbance\[0\].wander is missing; expected it in each \[\[disturb"),
+        ({"disturbance": [{"enters": [1.0]}]}, r"disturbance\[0\].wander is missing; expected the variance of what"),
         ({"disturbance": [PUSHED | {"size": 1}]}, r"disturbance\[0\].size is not a known key; expected one of enters"),
         ({"disturbance": PUSHED}, r"\[disturbance\] is a single table; expected \[\[disturbance\]\] for each"),
         (

@@ -72,7 +72,8 @@ def with_every_sample(loop: Loop) -> WithEverySample | None:
     """Return a loop and the loop that sends every sample, or None if the cost of that loop is not known."""
     always = attempt_of(loop.policy)
     plant = loop.problem.plant
-    known = loop.horizon is None and plant.function is None and not isinstance(plant.changes, SampledChanges)
+    known = loop.horizon is None and plant.function is None and loop.problem.loads is None
+    known = known and not isinstance(plant.changes, SampledChanges)
     if always is None or not known or loop.precision != "float64":
         return None
     try:

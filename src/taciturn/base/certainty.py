@@ -233,8 +233,8 @@ def expect_constant_set_points(kind: str, plant: Plant) -> None:
     """Raise a ``ProblemError`` if the set-points of a plant change while the loop runs."""
     if plant.changes is not None:
         raise ProblemError(
-            f"the set-points change (reference.steps or reference.file), which the policy kind {kind} does not use; "
-            "expected constant set-points, or the policy kind 'excess' or 'distributed'"
+            f"the set-points change (reference.steps or reference.file), which the policy kind {kind} does not use, as "
+            "it does not use known loads; expected constant set-points, or the policy kind 'excess' or 'distributed'"
         )
 
 

@@ -160,8 +160,8 @@ def followed_by(plant: Plant | ContinuousPlant, kept: AnyController, controller:
     if own.changes is None or len(own.S) > len(own.outputs) or own.E.any() or own.G.any():
         raise ProblemError(
             "the plant has disturbances, or set-points that never change, which a given controller does not use; "
-            "expected the key 'disturbance' of the controller, and set-points that an operator may change: "
-            "RandomSteps(rate=0, covariance) if they are constant until then"
+            "expected the key 'disturbance' of the controller, a load with wander = 0 that is not known, and "
+            "set-points that an operator may change: RandomSteps(rate=0, covariance) if they are constant until then"
         )
     if plant.D is not None:
         raise ProblemError(

@@ -14,6 +14,7 @@ from taciturn.cli.frame import (
     File,
     GivenSeed,
     Json,
+    Loads,
     NoFunctions,
     PictureStyle,
     Plot,
@@ -207,6 +208,7 @@ def simulate(
         Path | None, typer.Option(metavar="OUT", help="Write every step as a table: .csv or .parquet.")
     ] = None,
     seed: Seed = 0,
+    loads: Loads = None,
     time: TimeLimit = None,
 ) -> None:
     """Simulate one path of the closed loop: states, inputs and the instants of packets.
@@ -221,11 +223,11 @@ def simulate(
     if table is not None:
         check_table(table)
     with answered_within(time):
-        problem = load_changed(file, settings, no_functions)
+        problem = load_changed(file, settings, no_functions, loads)
         policy = problem.design()
         other = None
         if versus is not None and versus != PERIODIC:
-            compared = load_changed(versus, None, no_functions)
+            compared = load_changed(versus, None, no_functions, loads)
             other = compared.close(compared.design())
         found = taciturn.simulate(
             problem.close(policy), steps, seed=seed, versus=PERIODIC if versus == PERIODIC else other

@@ -580,14 +580,30 @@ def left_text(elapsed: float, fraction: float) -> str:
     return f"about {max(1, round(left))} s left" if left < LONG else f"about {round(left / 60)} min left"
 
 
-def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:
-    """Load a problem, and change the keys that the user has set with ``--set``."""
+Loads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load",
+        metavar="VALUE@SECONDS",
+        help="From this time on (in steps if the plant has no dt), add a load to the simulated plant: to the first "
+        "[[disturbance]] of the problem, or else to the inputs, with a value for each input, such as 0.3,0@20.",
+    ),
+]
+
+
+def load_changed(file: str, settings: list[str] | None, no_functions: bool, loads: list[str] | None = None) -> Problem:
+    """Load a problem, change the keys that the user has set with ``--set``, and add the loads of ``--load``."""
     from taciturn import load
     from taciturn.problem.settings import parse_settings
     from taciturn.problem.without_file import passed_problem
 
     problem, changes = passed_problem(file) or load(file, functions=not no_functions), parse_settings(settings or [])
-    return problem.changed(changes) if changes else problem
+    problem = problem.changed(changes) if changes else problem
+    if not loads:
+        return problem
+    from taciturn.problem.loads import with_added_loads
+
+    return with_added_loads(problem, loads)
 
 
 def note_seed(seed: int | None, drawn: bool) -> None:

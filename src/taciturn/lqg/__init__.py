@@ -17,6 +17,7 @@ Read the modules in this order:
    zero and inputs that cost nothing.
 2. ``sampling`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between samples, and
    inputs that the outputs show one step later. ``followed``: the deviations from what disturbances and set-points need.
+   ``loaded``: loads of the simulated plant.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``critical_losses``: control over links that drop packets, and the critical loss probabilities.
 5. ``queries``: schedules of measurements, by their value to the controller or by the variances of predicted outputs.

@@ -58,6 +58,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import DisturbedDynamics
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.load import SampledLoads
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import (
     FED,
@@ -210,8 +211,12 @@ INSTANTS = (
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
     "at the sampling instants; nothing is claimed for the integral, or for another period"
 )
+LASTING = (
+    "long-run costs and rates are those after the last change of the loads in [[disturbance]]; simulated paths and "
+    "networks begin before it"
+)
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
-HIDDEN = "source", "rest", "instants", "exact", "deviations"
+HIDDEN = "source", "rest", "instants", "exact", "deviations", "loads"
 LEAST = 1e-10  # movement within a period, in units of the state, that leaves digits of what a plant does in a step
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
@@ -236,6 +241,7 @@ class Discrete(Displayed):
         exact: the sampled problem to any precision; None if its doubles are exact. With disturbances and set-points,
             it only has A, B and W.
         deviations: with disturbances and set-points, the deviations by construction, whose problem has the cost.
+        loads: the loads of a simulated plant; None in a design.
     """
 
     plant: Plant
@@ -253,6 +259,7 @@ class Discrete(Displayed):
     instants: bool = False
     exact: Exact | None = None
     deviations: Followed | None = None
+    loads: SampledLoads | None = None
 
     def regulator(self) -> Regulator:
         """Compute the optimal regulator for an average cost or a discounted cost.
@@ -378,10 +385,13 @@ class Discrete(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes on a direct feedthrough, and on a cost that is not the integral of the stage cost."""
+        """Notes on loads, a direct feedthrough, and a cost that is not the integral of the stage cost."""
+        changing = self.loads is not None and not self.cost.mission and len(self.loads.table) > 1
         fed = self.source is not None and self.source.D is not None
-        return ((INSTANTS,) if self.instants else ()) + (
-            (f"the plant has a direct feedthrough D: {FED}",) if fed else ()
+        return (
+            *((INSTANTS,) if self.instants else ()),
+            *((f"the plant has a direct feedthrough D: {FED}",) if fed else ()),
+            *((LASTING,) if changing else ()),
         )
 
     @property
@@ -423,6 +433,7 @@ def discretise(
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
+    plant = altered(plant, {"loads": ()}) if plant.loads else plant  # designs do not know them
     compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
     return compute(plant, cost, period, prediction)
 
@@ -556,12 +567,12 @@ def _equations(plant: Plant | ContinuousPlant, e: Exosystem, cost: Cost | Discre
 
 def _is_still(U: Array, S: Array) -> bool:
     """Return whether the modes of d that do not decay leave Ud at rest, so that U S d is zero or decays."""
-    seen = invariant(unit_columns(_moves(U, S).T), [S.T])
+    seen = invariant(unit_columns(moved_inputs(U, S).T), [S.T])
     rates = eigenvalues(seen.T @ S.T @ seen).real
     return not (rates > -SCATTER * pace(S)).any()
 
 
-def _moves(U: Array, S: Array) -> Array:
+def moved_inputs(U: Array, S: Array) -> Array:
     """Return U S, the movement of the input that d needs, without rounding errors of entries that are zero."""
     moved = U @ S
     return np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
@@ -656,7 +667,7 @@ def _within_a_period(
     moves[q - given :] = 0.0
     noise = np.vstack([-X, np.eye(q), -U])
     W = symmetrised(noise @ moves @ noise.T + block_diagonal(plant.W, np.zeros((q + m, q + m))))
-    D = np.hstack([np.zeros((m, n)), -_moves(U, e.S)])
+    D = np.hstack([np.zeros((m, n)), -moved_inputs(U, e.S)])
     B, N = (np.vstack([part, np.zeros((q, m))]) for part in (plant.B, cost.N))
     A, Q = block_diagonal(plant.A, e.S), block_diagonal(cost.Q, rest)
     return sample(A, B, Q, cost.R, N, W, period, D)

@@ -150,18 +150,21 @@ def forgetting(plant: Plant, filtered: Sequence[Array], regulated: float, remedy
 @remembered
 def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
     """Compute the steady-state Kalman filter of a plant. ``exact`` gives A and W more precisely than doubles do."""
-    # The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
-    # outputs have no noise: the filter takes them over, also those that never move.
+    # The last states, such as set-points, may be the last outputs, without noise: the filter takes them over, also
+    # those that never move. Set-points act on nothing else. A known load does not move by itself; the filter removes it
+    # from the other outputs.
     n, p = len(A) - given, len(C) - given
     found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
     if not given:
         return found
     moved, none = W[n:, n:], np.zeros((given, given))
+    gain = block_diagonal(found.gain, unit)
+    gain[:n, p:] = -found.gain @ C[:p, n:]
     return _frozen(
         Filter(
             block_diagonal(found.prior, moved),
             block_diagonal(found.posterior, none),
-            block_diagonal(found.gain, unit),
+            gain,
             block_diagonal(found.innovation, moved),
             block_diagonal(found.error, none),
             found.slowest,

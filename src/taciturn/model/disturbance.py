@@ -33,7 +33,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.key import Rows, stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
-from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
+from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal, loads_of
 
 USUAL_STEPS = 1000.0  # default time constant in steps
 MOST_STEPS = 1e6  # longest time constant in steps
@@ -198,7 +198,8 @@ def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float =
 
 
 def _following(found: AnyPlant, plant: Plant | ContinuousPlant, more: int) -> AnyPlant:
-    """Return a plant with more states that follows the set-points of the plant that it was made of."""
+    """Return a plant with more states that has the loads and follows the set-points of the plant it was made of."""
+    found = altered(found, {"loads": tuple(replace(one, E=np.pad(one.E, (0, more))) for one in plant.loads)})
     own = plant.exosystem
     if own is None:
         return found
@@ -334,7 +335,9 @@ def with_target(plant: AnyPlant, target: SetPoint, disturbances: Sequence[Extern
             "state"
         )
     found = Exosystem.of(disturbances, target, len(plant.C), plant.continuous, plant.operating_point)
-    return altered(plant, {"exosystem": found})
+    loads = loads_of(disturbances, len(found.S), len(plant.C))
+    alone = not len(found.S) and any(one.hidden for one in disturbances)  # nothing that a design would know
+    return altered(plant, {"exosystem": None if alone else found, "loads": loads})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -44,6 +44,7 @@ from taciturn._text import Lines, number_of
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
+from taciturn.model.load import Load
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
@@ -157,6 +158,8 @@ class DisplayedPlant(Displayed):
     input_rate: Array | None = field(metadata=stated_as(list[float] | None))
     full_state: bool = field(metadata=NO_KEY)
     exosystem: Exosystem | None = field(metadata=NO_KEY)
+    # of the simulated plant, which designs do not look at
+    loads: tuple[Load, ...] = field(default=(), metadata=NO_KEY, kw_only=True)
     operating_point: OperatingPoint | None = field(metadata=stated_as(table_of(OperatingPoint) | None))
     continuous: ClassVar[bool] = True
 
@@ -467,7 +470,7 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limits."""
-        start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
+        start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers", "loads"}
         apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 

@@ -44,6 +44,7 @@ from taciturn._rational import Limit, free_modes
 from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.key import NO_KEY, Rows, stated_as
+from taciturn.model.load import Load, stairs
 from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
@@ -99,6 +100,10 @@ class Changes(Displayed):
         """Return the changes as the controller reads them at the sampling instants."""
         raise NotImplementedError  # a form whose states move by themselves is sampled with the plant
 
+    def beside(self, count: int) -> Changes:
+        """Add disturbances that the controller is given too, and that do not change by themselves."""
+        raise NotImplementedError  # of a form that is never given
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomSteps(Changes):
@@ -140,6 +145,10 @@ class RandomSteps(Changes):
     def noise(self) -> Array:
         """Covariance of the changes, per second or per sampling step."""
         return self.rate * self.covariance
+
+    def beside(self, count: int) -> RandomSteps:
+        """Add disturbances that the controller is given too, and that do not change by themselves."""
+        return RandomSteps(self.rate, np.pad(self.covariance, (0, count)))
 
     def sampled(self, period: float) -> RandomSteps:
         """Convert the changes to discrete time: at most one change per period, with the same variance.
@@ -212,6 +221,10 @@ class Timetable(Changes):
     def relative_to(self, z: Array) -> Timetable:
         """Express the set-points of the timetable as deviations from the values z."""
         return Timetable(self.times, self.values - z)
+
+    def beside(self, count: int) -> Timetable:
+        """Add disturbances that the controller is given too, and that do not change by themselves."""
+        return Timetable(self.times, np.pad(self.values, ((0, 0), (0, count))))
 
     def sampled(self, period: float) -> SampledChanges:
         """Convert the changes to discrete time: a change between two sampling instants takes effect at the later one.
@@ -321,18 +334,27 @@ Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
 class ExternalDisturbance(Displayed):
     """A disturbance of known shape and unknown size. The filter estimates it, and the input compensates it.
 
+    The value of a constant disturbance may also have a first value and changes at stated times: a load, which the
+    simulated plant has. If the wander is zero, the design knows nothing of a load, unless it is ``known``.
+
     Args:
         enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
         wander: variance per step, or intensity per second, of the noise that moves the disturbance, positive: of its
             value, for a ramp of its slope, for a sinusoid of both of its components, for a matrix of all of its states.
+            It may be zero for a load, and is zero for one that is known.
         shape: ``"constant"``, ``"ramp"``, ``"sinusoid"``, or ``"matrix"`` for dynamics of one's own.
         frequency: radians per step of a sinusoid, or radians per second for a continuous plant.
         measured: how the disturbance adds to the measured outputs, (p,); default 0.
         matrix: S of the shape ``"matrix"``: d⁺ = S d per step, or ḋ = S d for a continuous plant, (q, q). The first
             state is the value of the disturbance. No mode may grow.
+        initial: value of a load at the start; default 0, at which the filter starts in any case.
+        steps: changes of a load: rows [time, value] with increasing times in seconds, or in steps of a plant that is
+            discrete in time. From each time on the load has the value, and the last one remains.
+        known: whether the controller reads the load in each step without an error, as it reads set-points.
 
     Raises:
-        ProblemError: the wander is not positive, or a frequency or a matrix is missing or not used.
+        ProblemError: the wander is not positive without a load, a frequency or a matrix is missing or not used, or the
+            changes of a load have no increasing times or another shape than a constant.
 
     Example:
         >>> ExternalDisturbance([0.0, 0.3], wander=1e-3).dynamics(continuous=False)
@@ -345,19 +367,31 @@ class ExternalDisturbance(Displayed):
     frequency: float | None = None
     measured: Array | None = field(default=None, metadata=stated_as(list[float] | None))
     matrix: Array | None = field(default=None, metadata=stated_as(Rows | None))
+    initial: float | None = None
+    steps: Array | None = field(default=None, metadata=stated_as(Rows | None))
+    known: bool = False
 
     def __init__(
         self,
         enters: ArrayLike,
-        wander: float,
+        wander: float | None = None,
         shape: Shape = "constant",
         frequency: float | None = None,
         measured: ArrayLike | None = None,
         matrix: ArrayLike | None = None,
+        initial: float | None = None,
+        steps: ArrayLike | None = None,
+        known: bool = False,
     ) -> None:
         """Validate and store the arguments."""
         enters = array("disturbance.enters", enters, (None,), "(states,)")
-        wander = number("disturbance.wander", wander, 0.0)
+        loaded = initial is not None or steps is not None or known
+        if wander is None and not loaded:
+            raise ProblemError(
+                "disturbance.wander is missing; expected the variance of what moves the disturbance, or the initial "
+                "value or the steps of a load"
+            )
+        wander = number("disturbance.wander", wander or 0.0, 0.0, closed=loaded)
         if shape not in get_args(Shape):
             raise ProblemError(
                 f"disturbance.kind is {quoted(shape)}; expected one of the kinds {', '.join(get_args(Shape))}"
@@ -377,8 +411,30 @@ class ExternalDisturbance(Displayed):
             raise ProblemError(
                 "disturbance.enters and disturbance.measured are zero; expected an effect on a state or an output"
             )
+        if loaded and shape != "constant":
+            key = "initial" if initial is not None else "steps" if steps is not None else "known"
+            raise ProblemError(f"disturbance.{key} is given for a {shape}; expected it for a constant disturbance only")
+        if known and wander:
+            raise ProblemError(
+                f"disturbance.known is true, but disturbance.wander is {wander:g}; expected the wander 0: a known load "
+                "only has the changes that are stated"
+            )
+        initial = None if initial is None else number("disturbance.initial", initial)
+        changes = None if steps is None else array("disturbance.steps", steps, (None, 2), "(changes, 2)")
         set_fields(self, {"enters": enters, "wander": wander, "shape": shape})
+        set_fields(self, {"initial": initial, "steps": changes, "known": bool(known)})
+        _ = self.stairs
         set_fields(self, {"frequency": frequency, "measured": seen, "matrix": matrix})
+
+    @property
+    def stairs(self) -> tuple[Array, Array] | None:
+        """Times of the changes of a load, from 0 on, and the values from then on; None for no load."""
+        return None if self.initial is None and self.steps is None else stairs(self.initial, self.steps)
+
+    @property
+    def hidden(self) -> bool:
+        """True for a load of which the design knows nothing."""
+        return self.wander == 0.0 and not self.known
 
     def dynamics(self, continuous: bool) -> Array:
         """Return the matrix S of the disturbance's dynamics. The first state is the value of the disturbance.
@@ -415,7 +471,10 @@ class ExternalDisturbance(Displayed):
         """Return the disturbance as an external signal. Only its first state acts on the plant."""
         S, seen = self.dynamics(continuous), np.zeros(outputs) if self.measured is None else self.measured
         E, G = (np.pad(effect[:, None], ((0, 0), (0, len(S) - 1))) for effect in (self.enters, seen))
-        return Signal(S, self.noise, np.zeros(len(S)), E, G)
+        start = np.zeros(len(S))
+        if self.known and self.stairs is not None:
+            start[:] = self.stairs[1][0]
+        return Signal(S, self.noise, start, E, G)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -473,10 +532,11 @@ class Exosystem(Displayed):
         Raises:
             ProblemError: a disturbance has another number of states or outputs than the plant.
         """
-        (z, n), signals = target.outputs.shape, list[Signal]()
+        (z, n), signals, known = target.outputs.shape, list[Signal](), list[Signal]()
         for place, one in enumerate(disturbances):
             try:
-                signals.append(one.signal(continuous, outputs))
+                made = one.signal(continuous, outputs)
+                _ = None if one.hidden else (known if one.known else signals).append(made)
             except ProblemError as error:
                 raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
             measured = np.zeros(outputs) if one.measured is None else one.measured
@@ -490,7 +550,11 @@ class Exosystem(Displayed):
         if point is not None and target.value is not None:
             at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
             changes = None if changes is None else changes.relative_to(at)
-        signals += target.signals(continuous, changes, at)
+        signals += [*target.signals(continuous, changes, at), *known]
+        changes = None if changes is None or changes.noise is None else changes
+        if known:  # they are given as set-points are, and come last
+            k = len(known)
+            changes = RandomSteps(0.0, np.zeros((k, k))) if changes is None else changes.beside(k)
         E, G, F = (
             np.hstack([one.entering(name, rows) for one in signals])
             for name, rows in (("E", n), ("G", outputs), ("F", z))
@@ -503,6 +567,21 @@ class Exosystem(Displayed):
             start=np.concatenate([one.start for one in signals]),
             outputs=target.outputs,
             F=F,
-            changes=None if changes is None or changes.noise is None else changes,
+            changes=changes,
             D=target.D,
         )
+
+
+def loads_of(disturbances: Sequence[ExternalDisturbance], states: int, outputs: int) -> tuple[Load, ...]:
+    """Return the loads among the disturbances of a plant, whose exosystem ``Exosystem.of`` has ``states`` states."""
+    sizes = [0 if one.hidden or one.known else len(one.noise) for one in disturbances]
+    known = [one for one in disturbances if one.known]
+    found = list[Load]()
+    for place, one in enumerate(disturbances):
+        made = one.stairs
+        if made is None:
+            continue
+        signal = states - len(known) + known.index(one) if one.known else sum(sizes[:place])
+        measured = np.zeros(outputs) if one.measured is None else one.measured
+        found.append(Load(*made, one.enters, measured, None if one.hidden else signal, one.known))
+    return tuple(found)

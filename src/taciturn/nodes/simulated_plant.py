@@ -68,7 +68,9 @@ class SimulatedPlant:
         spread: Array = factor(plant.V)
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
         noise: Array = spread @ draws.standard_normal((spread.shape[1],))
-        self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + noise).tolist())
+        loads = loop.problem.loads
+        shown = 0.0 if loads is None else loads.shown @ loads.table[0]
+        self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + shown + noise).tolist())
         self._began = self.state, self.measurement
 
     @property

@@ -10,8 +10,9 @@ follow each other, and an error names the file, the key, the given value and the
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
-Matrices are also read from files of other programs (``matlab_and_numpy``), and values of keys from options of the
-command line (``settings``). ``without_file`` makes problems of policies and of functions that return one.
+Matrices are also read from files of other programs (``matlab_and_numpy``), and values of keys, and loads of the
+simulated plant, from options of the command line (``settings``, ``loads``). ``without_file`` makes problems of policies
+and of functions that return one.
 """
 
 from __future__ import annotations
@@ -247,6 +248,7 @@ class Problem(Displayed):
             check_network(policy, self.network)
         else:
             given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
+            given |= {"[[disturbance]] with a load": bool(self.plant.loads)}
             policy.refuse(given | {" or ".join(IDEAL_LINK.intervals): self.network.limited})
         return policy
 

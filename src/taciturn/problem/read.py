@@ -99,10 +99,11 @@ def with_exosystem(
         rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
         stated |= {"outputs": plant.C[rows], "D": None if plant.D is None else plant.D[rows]}
     target = SetPoint(**stated)
-    if file.controller is not None and target.changes is None and not (file.disturbance or nodes):
+    given = [_disturbance(place, one, table.get("E")) for place, one in enumerate(file.disturbance or ())]
+    estimated = nodes or not all(one.hidden for one in given)
+    if points is not None and file.controller is not None and target.changes is None and not estimated:
         size = len(target.outputs)  # a given controller reads its set-points, also those that only an operator changes
         target = SetPoint(target.outputs, target.value, RandomSteps(0.0, np.zeros((size, size))), target.D)
-    given = [_disturbance(place, one, table.get("E")) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
     return with_target(plant, target, given)
 
@@ -113,6 +114,11 @@ def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturba
         if E is not None:
             moved = Inverse.of(E, np.atleast_2d(E).shape[0]).times("disturbance.enters", np.c_[one["enters"]])
             one = {**one, "enters": moved[:, 0]}
+        if (path := one.get("file")) is not None:
+            if "steps" in one:
+                raise ProblemError("disturbance.steps and disturbance.file are both given; expected only one of them")
+            rows = timed_rows("disturbance.file", path, "value")
+            one = {**{key: value for key, value in one.items() if key != "file"}, "steps": rows}
         return ExternalDisturbance(**one)
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
@@ -126,15 +132,19 @@ def changes_of(table: ReferenceKeys) -> Changes | None:
         return RandomSteps(**table["steps"])
     if "file" not in table:
         return None
-    path: str = table["file"]
+    rows = timed_rows("reference.file", table["file"], "set-points")
+    return Timetable(rows[:, 0], rows[:, 1:])
+
+
+def timed_rows(key: str, path: str, noun: str) -> Array:
+    """Return the numbers of a file of times, with what is so from each time on."""
     try:
-        rows = _rows(read_text(Path(path), LARGEST_TIMETABLE))
+        return _rows(read_text(Path(path), LARGEST_TIMETABLE))
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {path!r} cannot be read ({why_unreadable(error)}); expected rows of a time and the "
-            f"set-points from then on, separated by commas, without a header{backslash_text(path)}"
+            f"{key} {path!r} cannot be read ({why_unreadable(error)}); expected rows of a time and the {noun} from "
+            f"then on, separated by commas, without a header{backslash_text(path)}"
         ) from None
-    return Timetable(rows[:, 0], rows[:, 1:])
 
 
 def _rows(text: str) -> Array:
@@ -255,10 +265,13 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Convert relative paths in the tables of a problem file to absolute ones. They are relative to ``folder``."""
     found = dict(tables)
     for key in ("controller", "reference"):
-        given = found.get(key)
-        kept = cast("Mapping[str, Any]", given if isinstance(given, Mapping) else {})
-        if isinstance(kept.get("file"), str):
-            found[key] = {**kept, "file": str((folder / kept["file"]).absolute())}
+        if isinstance(found.get(key), Mapping):
+            found[key] = _located(cast("Mapping[str, Any]", found[key]), folder)
+    if isinstance(found.get("disturbance"), list):
+        listed = cast("list[Any]", found["disturbance"])
+        found["disturbance"] = [
+            _located(cast("Mapping[str, Any]", one), folder) if isinstance(one, Mapping) else one for one in listed
+        ]
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
             found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)
@@ -267,6 +280,12 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         path, _, name = named.rpartition(":")
         found[KEY] = f"{(folder / path).absolute()}:{name}"
     return found
+
+
+def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Convert a relative path of the key ``file`` of a table to an absolute one."""
+    path = table.get("file")
+    return {**table, "file": str((folder / path).absolute())} if isinstance(path, str) else dict(table)
 
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:

@@ -224,6 +224,13 @@ class OtherReferenceKeys(Displayed):
     integral_action: list[str] | None = None
 
 
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherDisturbanceKeys(Displayed):
+    """Keys of ``[[disturbance]]`` that state a load in another way."""
+
+    file: str | None = None
+
+
 PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 
 
@@ -245,7 +252,7 @@ CostKeys: TypeAlias = Annotated[dict[str, Any], Cost, OtherCostKeys]
 NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
 LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
 ReferenceKeys: TypeAlias = Annotated[dict[str, Any], Reference, SetPoint, OtherReferenceKeys]
-EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
+EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance, OtherDisturbanceKeys]
 ControllerKeys: TypeAlias = Annotated[dict[str, Any], OtherControllerKeys, Controller, ContinuousController]
 LimitsKeys: TypeAlias = Annotated[dict[str, Any], Limits]
 NamesKeys: TypeAlias = Annotated[dict[str, Any], Names]

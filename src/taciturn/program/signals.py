@@ -1,4 +1,4 @@
-"""Process noise that is not Gaussian, as operations of a program: Poisson jumps, and changes of set-points.
+"""All that moves a plant besides Gaussian noise, as operations of a program: jumps, set-points that change, and loads.
 
 **Jumps.** Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a jump,
 and ξ has independent entries of mean 0 and variance 1. At the end τ of the step its contribution is
@@ -11,6 +11,8 @@ more jumps than this number with a probability below 1e-14.
 
 **Set-points** are the last states of a plant. They move by a normal step with a certain probability in each time step,
 or by the next row of a timetable, which a step counter selects.
+
+**Loads** are rows of a table too. Its step counter stays at the last row.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from taciturn import _scipy
 from taciturn._arrays import Array
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
+from taciturn.model.load import SampledLoads
 from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.model.signals import RandomSteps, SampledChanges
 from taciturn.model.steps import Location
@@ -33,6 +36,7 @@ _MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 _MOST = 100  # most jumps drawn per step
 _ROUNDING = 1e-16  # size below which a term of the power series has no effect
 TIMETABLE = "timetable"  # step counter of set-points that change at known times
+LOADED = "loaded"  # step counter of loads
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
@@ -129,3 +133,14 @@ def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges)
     steps, none = draw_noise(tick, factor(changes.covariance)), b.constant(0.0)
     happens = b.emit("greater", b.constant(changes.rate), tick.uniform())
     return [*noise, *(b.choose(happens, step, none) for step in steps)]
+
+
+def read_loads(tick: TimeStep, loads: SampledLoads, ahead: bool = False) -> Operands:
+    """Return the loads of a step, or ``ahead``, of the next step."""
+    b, last = tick.builder, len(loads.table) - 1
+    if not last:
+        return [b.constant(value) for value in loads.table[0].tolist()]
+    following = np.minimum(np.arange(last + 1) + 1, last)
+    tick.locations[LOADED] = Location(LOADED, following)
+    here, rows = tick.place(LOADED), loads.table[following] if ahead else loads.table
+    return [b.value(b.lookup(column, here)) for column in rows.T.tolist()]

@@ -246,6 +246,7 @@ class _Shown:
     target: Array | None = None  # what it is to be
     low: float = -np.inf
     high: float = np.inf
+    held: bool = False  # whether it only changes in steps
 
     @property
     def curves(self) -> list[Array]:
@@ -353,7 +354,8 @@ def _panel(
             guesses.append(Series(time, one.estimate.tolist(), label, "dotted", None, thing, faint=True, signal=tone))
         name = unit_of(one.name)[0] if ylabel.endswith(")") else one.name
         label = name if len(own) > 1 or one.estimate is not None or one.target is not None else ""
-        series.append(Series(time, one.values.tolist(), label, held, None, thing, signal=tone))
+        curve: Curve = "steps" if one.held else held
+        series.append(Series(time, one.values.tolist(), label, curve, None, thing, signal=tone))
         if one.target is not None:
             targets[one.target.tobytes()] = one.target
     point = "operating point" if path.loop.problem.rest is not None and _signals(path) is None else "set-point"
@@ -461,13 +463,18 @@ def _targets(path: Trajectory) -> Iterator[tuple[Array, Array]]:
 
 
 def _disturbances(path: Trajectory) -> Iterator[_Shown]:
-    """Yield the unknown signals that act on the plant or on the measurements."""
+    """Yield the signals that act on the plant or on the measurements; at last, loads that the design does not know."""
     signals, states = _signals(path), path.loop.problem.plant.states
     acting = [] if signals is None else np.flatnonzero(np.vstack([signals.E, signals.G]).any(axis=0)).tolist()
     for number, i in enumerate(acting):
         column = states - len(signals.S) + i if signals is not None else i
-        estimate = path.estimate[:, column] if path.estimate.shape[1] == states else None
-        yield _Shown(f"$d_{{{number + 1}}}$", path.state[:, column], estimate)
+        known = column >= states - path.loop.problem.plant.set_points
+        estimate = path.estimate[:, column] if path.estimate.shape[1] == states and not known else None
+        yield _Shown(f"$d_{{{number + 1}}}$", path.state[:, column], estimate, held=known)
+    problem = path.loop.problem
+    loads = () if problem.source is None else (one for one in problem.source.loads if one.signal is None)
+    for number, one in enumerate(loads, start=len(acting) + 1):
+        yield _Shown(f"$d_{{{number}}}$", one.at_steps(problem.tick, len(path.time)), held=True)
 
 
 def _inputs(path: Trajectory) -> Iterator[_Shown]:

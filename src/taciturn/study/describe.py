@@ -32,6 +32,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
 from taciturn.model.estimate import Estimate, rounded
+from taciturn.model.load import Load
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
 from taciturn.model.policy import Policy
@@ -90,8 +91,26 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         **({} if point is None else {"operating_point": {"x": _plain(point.x), "u": _plain(point.u)}}),
         "input_limit": None if limit is None else _plain(limit_entries(limit)),
         **({} if rate is None else {"input_rate": _plain(rate)}),
+        **({"loads": [_load_document(one) for one in plant.loads]} if plant.loads else {}),
         **({} if e is None else {"exosystem": {name: _plain(value) for name, value in _parts(e).items()}}),
     }
+
+
+def _load_document(load: Load) -> dict[str, Any]:
+    """Return a load as a JSON document."""
+    known = load.given or (None if load.signal is None else "estimated")
+    steps = np.column_stack([load.times, load.values])
+    return {"steps": _plain(steps), "enters": _plain(load.E), "measured": _plain(load.G), "known": known or False}
+
+
+def _load_line(load: Load, continuous: bool) -> str:
+    """Return the values of a load as text."""
+    unit = "s" if continuous else "steps"
+    parts = [f"{load.values[0]:g}"] + [
+        f"{value:g} from {time:g} {unit}" for time, value in zip(load.times[1:], load.values[1:], strict=True)
+    ]
+    aware = "the controller reads it" if load.given else "the design estimates it"
+    return f"{', '.join(parts)}; {aware if load.signal is not None else 'the design does not know it'}"
 
 
 def _parts(e: Exosystem) -> dict[str, object]:
@@ -124,6 +143,7 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
         value = rows[name]
         lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []
     lines += [(name, text) for name in ("input limit", "input rate") if isinstance(text := rows[name], str)]
+    lines += [("load", _load_line(one, plant.continuous)) for one in plant.loads]
     if (e := plant.exosystem) is not None:
         moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
         q = f"{number_of(len(e.S), 'state')} d"

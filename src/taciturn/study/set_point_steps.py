@@ -79,6 +79,7 @@ def rates_around_steps(loop: Loop, seed: int, pace: float) -> SetPointSteps | No
         return None
     window = int(np.ceil(SETTLED * theory.recovers)) or 1
     burn = min(int(CONSTANTS * theory.settling) + 1, LONGEST)
+    burn += 0 if loop.problem.loads is None else len(loop.problem.loads.table)  # until they have changed
     around = _timetable if isinstance(changes, SampledChanges) else _random
     steady, after = around(loop, seed, window, burn)
     length = window * (plant.dt or 1.0)
