@@ -490,8 +490,11 @@ are the set-points of a controller, if they may change: `tac_receive` takes them
   must remain in memory.
 * `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
 * `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
-  the measurement is missing or beyond FLT_MAX, or if more missed steps are left than one call executes
-  (`tac_behind`, `TAC_CATCH_UP`).
+  the measurement is beyond FLT_MAX, or if more missed steps are left than one call executes (`tac_behind`,
+  `TAC_CATCH_UP`).
+* An entry of the measurement that is NaN is **missing**, and so are all entries if the measurement is NULL: call
+  `tac_step` also in a step in which no measurement arrives. The filter then predicts, a node without a filter holds the
+  last measurement, and `node->counters.missing` counts the step.
 * A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it

@@ -519,7 +519,7 @@ def _graph_of(file: File) -> Network:
         raise ProblemError(
             f"network.{key} is given with [nodes] or [links]; expected the properties of each link in [links.NAME]"
         )
-    nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
+    nodes, links, missing = dict[str, NodeRole](), dict[str, LinkLaw](), dict[str, float | LossLaw]()
     for name, role in (file.nodes or {}).items():
         try:
             nodes[name] = NodeRole(**role)
@@ -527,11 +527,16 @@ def _graph_of(file: File) -> Network:
             raise ProblemError(f"nodes.{name}: {error}") from None
     for name, keys in (file.links or {}).items():
         law: dict[str, Any] = {**keys, "burst": _burst(f"links.{name}.burst", keys.get("burst"))}
+        samples = law.pop("missing", None)
+        if samples is not None:
+            missing[name] = _burst(f"links.{name}.missing", samples) if isinstance(samples, Mapping) else samples
+            if len(keys) == 1:  # the node may be at the controller's site, without a link
+                continue
         try:
             links[name] = LinkLaw(**law)
         except ProblemError as error:
             raise ProblemError(f"links.{name}.{error}") from None
-    return Network(delay=table.delay, nodes=nodes or None, links=links)
+    return Network(delay=table.delay, nodes=nodes or None, links=links, missing=missing)
 
 
 def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:

@@ -224,6 +224,13 @@ class OtherReferenceKeys(Displayed):
     integral_action: list[str] | None = None
 
 
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherLinkKeys(Displayed):
+    """The key ``missing`` of ``[links.NAME]``, which is no property of a link, but of the samples of its node."""
+
+    missing: float | dict[str, Any] | None = None
+
+
 PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 
 
@@ -243,7 +250,7 @@ class OtherControllerKeys(Displayed):
 NominalPlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, ActualKeys]
 CostKeys: TypeAlias = Annotated[dict[str, Any], Cost, OtherCostKeys]
 NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
-LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
+LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw, OtherLinkKeys]
 ReferenceKeys: TypeAlias = Annotated[dict[str, Any], Reference, SetPoint, OtherReferenceKeys]
 EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
 ControllerKeys: TypeAlias = Annotated[dict[str, Any], OtherControllerKeys, Controller, ContinuousController]

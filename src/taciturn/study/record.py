@@ -84,7 +84,7 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    return found | {KIND: "Network"}, [one for one in (paid, limits) if one]
+    return found | {KIND: "Network"}, [one for one in (paid, limits, dict(network.missing)) if one]
 
 
 def origin(
