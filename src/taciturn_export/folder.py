@@ -40,6 +40,7 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.c import REAL, c_literal, constant_array
 from taciturn.program.ir import Program
+from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import Entry, Name, Sent, is_entry, named
 from taciturn_export.library import entries_text, print_library
 from taciturn_export.node import EXPORTED, CNode, CoreSizes, identifier, link_code, print_node, table
@@ -51,7 +52,7 @@ class RecordedRun(Displayed):
 
     Args:
         links: links on which packets are sent, in the order of the columns.
-        measured: measurements y, (steps, p).
+        measured: measurements y, (steps, p); NaN where a sample is missing.
         drawn: uniform random numbers that the policy draws, (steps, draws).
         arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links).
         sent: 1 if a packet was sent, otherwise 0, (steps, links).
@@ -111,6 +112,9 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
             f"the loop leaves the range of {loop.precision} after {number_of(int(finite.argmin()), 'step')}; "
             "expected a policy that stabilises the loop over this network"
         )
+    for name, values in found.items():
+        if is_entry(name, SAMPLED):
+            vector.measured[values == 0.0, name.index] = np.nan
     return vector
 
 
@@ -308,7 +312,7 @@ def _title(what: str) -> str:
 
 def _print_check(name: str, nodes: Sequence[CNode], vector: RecordedRun, loop: Loop) -> str:
     """Return the data of the self-check."""
-    lines = [_title("data of the self-check"), '#include "selfcheck.h"']
+    lines = [_title("data of the self-check"), "#include <math.h>", '#include "selfcheck.h"']
     lines += [f'#include "{node.name}.h"' for node in nodes]
     for node in nodes:
         lines += [

@@ -16,7 +16,7 @@ from taciturn.extend import number_of
 from taciturn.model.packets import PlantLink, plant_link, sender_of
 from taciturn.model.wire import PROOFS
 from taciturn.nodes.clock import JUMPED
-from taciturn.nodes.node import Node, Values
+from taciturn.nodes.node import Measurement, Node, Values
 from taciturn.nodes.packet import REFUSALS, Packet
 from taciturn_udp.nodes import LEFT_BEHIND, NodeServer
 from taciturn_udp.plant import PlantServer
@@ -33,6 +33,7 @@ DATAGRAMS = ("received", *REFUSALS, "unproven", "proofs")  # counters of a node,
 UNCOUNTED = (
     "sent ",
     "missed",
+    "missing",
     "repeated",
     "unsent",
     "overflowed",
@@ -117,7 +118,7 @@ class Monitor:
         self._starts: dict[str, dict[int, int]] = defaultdict(dict)  # number of an epoch, by its sender
         self._forged = 0  # forged datagrams that the plant was sent
         self._nonces: dict[tuple[str, str], list[int]] = defaultdict(list)  # of challenges, by sender and link
-        self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
+        self._sent: dict[tuple[str, str, Measurement], list[Order]] = defaultdict(list)
         self._last: dict[tuple[str, str, int], int] = {}  # last step with a packet, by sender, link and epoch
         self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
         self._applied: dict[str, Order] = {}  # by link of the plant

@@ -497,6 +497,18 @@ def links(where: str, **law: object) -> Callable[[Draft], None]:
     return add
 
 
+def missing(law: object) -> Callable[[Draft], None]:
+    """Let samples be missing: of the sensor, or of the first node that measures, whatever its place."""
+
+    def add(draft: Draft) -> None:
+        unneeded(draft, "network")
+        nodes = draft.tables.get("nodes", {"sensor": {"measures": True}})
+        name = next(name for name, role in nodes.items() if role.get("measures"))
+        draft.table("links").setdefault(name, {})["missing"] = law
+
+    return add
+
+
 def intervals(**law: int) -> Callable[[Draft], None]:
     """Limit the intervals of the links on which the kind sends, whatever the network is called."""
 
@@ -836,6 +848,8 @@ def features() -> list[Feature]:
         "lossy valves": ("lossy valves", links("valve", loss=0.2, acknowledged=True)),
         "unacknowledged": ("lossy probes", links("", loss=0.15)),
         "bursty valves": ("lossy valves", links("valve", burst=BURST, acknowledged=True)),
+        "missing samples": ("missing", missing(0.1)),
+        "missing samples in bursts": ("missing", missing(BURST)),
         "prices": ("prices", links("valve", price=3.0)),
         "rounded probes": ("rounded", links("probe", payload="float32")),
         "energy of probes": ("joules", links("probe", energy=0.01, battery=1000.0)),

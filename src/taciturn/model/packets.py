@@ -177,7 +177,7 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
     return shapes
 
 
-def carries_samples(kind: PacketKind, link: str) -> bool:
+def carries_samples(kind: str, link: str) -> bool:
     """Return whether packets are measurements of a plant, in which NaN stands for an output that is missing."""
     return kind == "measurement" and link != SETPOINT
 

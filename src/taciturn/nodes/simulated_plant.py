@@ -57,10 +57,11 @@ class SimulatedPlant:
         count("seed", seed, 0)
         program, self._turn = _compile(loop)
         start = loop.start(program, 1, seed)[:, 0]
-        self._states: Sequence[Any] = [
+        states: list[Any] = [
             int(value.view(np.uint64)) if state.word else float(value)
             for value, state in zip(start, program.states, strict=True)
         ]
+        self._states: Sequence[Any] = states
         self._start = {i: self._states[i] for i, state in enumerate(program.states) if state.name == "x"}
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
@@ -74,7 +75,7 @@ class SimulatedPlant:
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
         noise: Array = spread @ draws.standard_normal((spread.shape[1],))
         y: list[float] = (plant.C @ self.state + noise).tolist()
-        known = self._first_samples(program, draws)
+        known = self._first_samples(program, states, draws)
         self.measurement: Measurement = tuple(y[i] if i not in known or known[i] else None for i in range(len(y)))
         self._began = self.state, self.measurement
 
@@ -124,7 +125,7 @@ class SimulatedPlant:
             )
         return outputs[self._cost]
 
-    def _first_samples(self, program: Program, draws: np.random.Generator) -> dict[int, bool]:
+    def _first_samples(self, program: Program, states: list[Any], draws: np.random.Generator) -> dict[int, bool]:
         """Draw which outputs are measured in the first step, by output, for nodes whose samples may be missing."""
         network, known = self.loop.network, dict[int, bool]()
         places = {state.name: i for i, state in enumerate(program.states)}
@@ -135,9 +136,8 @@ class SimulatedPlant:
             chance, turn = draws.random(2)
             loss, place = law.loss if isinstance(law, LossLaw) else law, places.get(sample_state(node))
             if isinstance(law, LossLaw) and place is not None:
-                state = int(self._states[place])
-                loss = float(law.losses[state])
-                self._states[place] = float(law.move(turn)[state])
+                state = int(states[place])
+                loss, states[place] = float(law.losses[state]), float(law.move(turn)[state])
             known |= dict.fromkeys(rows, bool(chance > loss))
         return known
 

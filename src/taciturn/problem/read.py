@@ -529,7 +529,8 @@ def _graph_of(file: File) -> Network:
         law: dict[str, Any] = {**keys, "burst": _burst(f"links.{name}.burst", keys.get("burst"))}
         samples = law.pop("missing", None)
         if samples is not None:
-            missing[name] = _burst(f"links.{name}.missing", samples) if isinstance(samples, Mapping) else samples
+            bursts = cast("dict[str, Any]", samples) if isinstance(samples, dict) else None
+            missing[name] = _burst(f"links.{name}.missing", bursts) or cast("float", samples)
             if len(keys) == 1:  # the node may be at the controller's site, without a link
                 continue
         try:

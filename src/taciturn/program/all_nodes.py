@@ -118,7 +118,7 @@ class Informed(TimeStep):
     """A time step for real plants: measurements may be missing, and the applied inputs and fates of packets given."""
 
     # Inputs of the program besides those of ``translate_policy``: for each measured signal ``known_of``, 1 or 0 for an
-    # entry; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn; ``TOLD``,
+    # entry; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if it is drawn; ``TOLD``,
     # 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy enters
     # its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
 
