@@ -33,7 +33,6 @@ from taciturn_udp.proofs import Outbox, Reception
 from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 
 BLIND = 8  # steps without a measurement from the plant for which a node with a sensor goes on
-EARLIER = 0.5  # deadline of a measurement, relative to that of a packet
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
@@ -52,8 +51,8 @@ class NodeServer:
             packets.
         plant: address of the plant; None if the nodes contain neither sensor nor actuator.
         tick: real seconds per step; default: lockstep.
-        wait: fraction of a step for which a node waits for a packet of the step, in real time; for a measurement it
-            waits half as long.
+        wait: fraction of a step for which a node waits for a packet of the step, in real time; for a measurement, at
+            most a quarter of a step.
         heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
         keep: storage to which the state is saved after every step; for a single node only.
         told: function called with the log line of each step.
@@ -355,7 +354,7 @@ class NodeServer:
 
     def _deadline(self, tick: int) -> float:
         """Return the time until which a step waits for its measurement or its packets."""
-        wait = self._wait * (EARLIER if self.nodes[0].measures else 1.0)
+        wait = min(self._wait, LATE) if self.nodes[0].measures else self._wait
         return self.phase.begins(tick) + wait * self.phase.tick
 
     def _coming(self, last: int, present: int) -> int:
