@@ -3,9 +3,9 @@
 In lockstep, every node sends a mark when it has finished a step, and begins a step when it has received the marks of
 all nodes that send to it. Packets are therefore never late, and the same seeds give the same run. In real time, a node
 begins a step when its measurement or its packet has arrived, or at an absolute deadline. That of a node with a sensor
-is earlier, so that its packet arrives before the deadlines of the others. It goes on without a measurement only while
-its own clock has told the time since the last one, and for a few steps: if the plant is silent, so is the node, and the
-watchdogs of its receivers expire. The plant may also say that a sample is missing; then the node goes on at once.
+is earlier, so that its packet arrives before the deadlines of the others. It continues without a measurement only if
+its own clock shows that the plant should have sent one, and for a few steps: if the plant is silent, so is the node,
+and the watchdogs of its receivers expire. A packet of the plant may also state that a sample is missing.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ class NodeServer:
     def _unsure(self) -> bool:
         """Whether the process was suspended, or its clock has jumped, and no packet has shown which.
 
-        A node with a sensor is less sure: it goes on without a measurement only if the plant would have sent one.
+        A node with a sensor is less sure: it continues without a measurement only if the plant would have sent one.
         """
         most = LATE if self.nodes[0].measures else JUMPED
         return self._tick is not None and self._strayed > most * self._tick

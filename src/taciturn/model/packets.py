@@ -178,7 +178,7 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
 
 
 def carries_samples(kind: str, link: str) -> bool:
-    """Return whether packets are measurements of a plant, in which NaN stands for an output that is missing."""
+    """Return whether packets are measurements of a plant, in which NaN is a missing output."""
     return kind == "measurement" and link != SETPOINT
 
 

@@ -5,7 +5,7 @@
 The payload has the encoding of its link: numbers, or multiples of a resolution. The tag is a keyed digest (BLAKE2s) of
 all that stands before it. A datagram that is not a valid packet is rejected with a one-word reason, and has no other
 effect: its length, version, CRC and tag are checked before a field is used, and its numbers before they are returned.
-In a measurement of the plant, NaN stands for an output that is missing; every other number of a packet is finite.
+In a measurement of the plant, NaN is a missing output; every other number of a packet is finite.
 """
 
 from __future__ import annotations

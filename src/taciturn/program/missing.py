@@ -5,8 +5,8 @@ is 0 and the filter predicts. Otherwise it holds the last measurement, so that a
 controller has no derivative kick. A node that sends its measurement in every step sends no packet in a step without
 any, so the receiver takes the packet as lost.
 
-Nodes are told which outputs are missing: for each measured signal, inputs of the program (``known_of``) are 1 for an
-output that is measured, and 0 otherwise. A simulation draws which are missing (``TimeStep.draw_samples``).
+Inputs of the program of a node (``known_of``) state which outputs are missing: 1 for an output that is measured, and 0
+otherwise. A simulation draws which are missing (``TimeStep.draw_samples``).
 """
 
 from __future__ import annotations
