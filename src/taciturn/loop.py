@@ -37,10 +37,11 @@ from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_st
 from taciturn.lqg.kalman import resting_states
 from taciturn.lqg.loaded import with_loads
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, LOADS, ROUNDING, SIMULATED, uncovered
+from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, LOADS, ROUNDING, SAMPLES, SIMULATED, uncovered
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
+from taciturn.model.losses import LossLaw
 from taciturn.model.names import Names
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant, about
@@ -51,12 +52,13 @@ from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
-from taciturn.program.ir import Program
+from taciturn.program.ir import Program, Truth
+from taciturn.program.missing import SAMPLED, sensed_by
 from taciturn.program.ops import Name, Precision, Sent, Silence, named
 from taciturn.program.ranges import ranges_of_sums
 from taciturn.program.signals import LOADED, TIMETABLE, add_changes, add_jumps, draw_noise, read_loads
 from taciturn.program.tracing import trace
-from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state
+from taciturn.program.translation import APPLIED, TimeStep, first_input, link_state, sample_state
 
 
 def check_plants(problem: Discrete, policy: Policy) -> None:
@@ -101,12 +103,14 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
+        "samples are missing at random": lacks(SAMPLES),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
-    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS]
+    others = [name for name in missing if name not in NAMED]
     return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
 
 
+NAMED = FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES  # differences that have sentences of their own
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
@@ -274,6 +278,7 @@ class Loop(Displayed):
         self._load(tick, ahead=True)
         measured = self._measured(tick)
         outputs |= named("y", measured[: plant.sensed]) | named(REFERENCE, measured[plant.sensed :])
+        outputs |= self._sampled(tick, tick.draw_samples(self.network))
         return with_draws(tick.finish({}, outputs | named("x", tick.signals["x"])))
 
     def reduced_program(self) -> Program:
@@ -323,9 +328,11 @@ class Loop(Displayed):
         plant, network = self.problem.plant, self.network
         x, draws = self.start_of_plant(paths, seed, first)
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
-        for link, burst in ((link, network.burst(link)) for link in network.links):
+        laws = {link_state(link): network.burst(link) for link in network.links}
+        laws |= {sample_state(node): law for node, law in network.missing.items() if isinstance(law, LossLaw)}
+        for name, burst in laws.items():
             if burst is not None:
-                drawn[link_state(link)] = burst.pick(draws.random(paths)).astype(np.float64)[None]
+                drawn[name] = burst.pick(draws.random(paths)).astype(np.float64)[None]
         changes = plant.changes
         if stationary and isinstance(changes, SampledChanges):
             rows = len(changes.table)
@@ -393,15 +400,16 @@ class Loop(Displayed):
             tick.recall("x")  # so that x is the first state
         tick.draw_losses(self.policy, self.network)
         self._load(tick)
-        measured = self._measured(tick, supplied)
-        measure(tick, self.policy, measured)
+        known, sensed = tick.draw_samples(self.network), sensed_by(self.policy)
+        absent = {signal: [known[node]] * len(rows) for signal, (node, rows) in sensed.items() if node in known}
+        measured = measure(tick, self.policy, self._measured(tick, supplied), absent)
         tick.signals["y"] = measured[: self.problem.plant.sensed]
         tick.signals[REFERENCE] = measured[self.problem.plant.sensed :]
         carry_out(tick, self.policy, self.policy.steps, self.problem.plant.saturation)
         self._add_sums(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
-        outputs |= named("drawn", tick.thresholds if supplied else ())
+        outputs |= self._sampled(tick, known) | named("drawn", tick.thresholds if supplied else ())
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 
@@ -417,6 +425,14 @@ class Loop(Displayed):
         """Set the signal with the loads of the step, or of the next one."""
         if self.problem.loads is not None:
             tick.signals[LOAD] = read_loads(tick, self.problem.loads, ahead)
+
+    def _sampled(self, tick: TimeStep, known: Mapping[str, Truth]) -> dict[Name, int]:
+        """Return for each output 1 if it is measured in this step, and 0 if not; nothing if no sample is missing."""
+        found = [tick.builder.constant(1.0)] * self.problem.plant.sensed
+        for node, rows in sensed_by(self.policy).values():
+            for row in rows if node in known else ():
+                found[row] = tick.as_number(known[node])
+        return named(SAMPLED, found) if known else {}
 
     def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
         plant, loads = self.problem.plant, self.problem.loads

@@ -109,7 +109,8 @@ def _fits(entry: tuple[str, object]) -> bool:
     if name.startswith(("sent_", "option_")) or name == "degraded":
         return is_number(value)
     if name.startswith("arrived_") or name in ("y", "u", "x"):
-        listed = cast("list[object]", value if isinstance(value, list) else [None])
+        listed = cast("list[object]", value if isinstance(value, list) else [""])
+        listed = [one for one in listed if one is not None] if name == "y" else listed  # None: a missing sample
         return all(map(is_number, listed)) and (name[0] != "a" or all(type(one) is int for one in listed))
     if name == "reasons":
         return isinstance(value, dict) and all(map(is_number, cast("dict[str, object]", value).values()))
@@ -191,7 +192,7 @@ def _column(lines: Iterable[Line], name: str, index: int, first: int, steps: int
     found = np.full(steps, np.nan)
     for line in lines:
         row = line.get(name, ())
-        if index < len(row):
+        if index < len(row) and row[index] is not None:
             found[line["tick"] - first] = row[index]
     return found
 

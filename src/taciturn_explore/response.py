@@ -69,7 +69,7 @@ def periodically(problem: Problem, intervals: Mapping[str, int]) -> Problem:
         link: replace(law, min_interval=intervals[link], max_interval=intervals[link]) if link in intervals else law
         for link, law in network.links.items()
     }
-    timed = Network(nodes=network.nodes, links=links, stated=network.stated)
+    timed = Network(nodes=network.nodes, links=links, stated=network.stated, missing=network.missing)
     object.__setattr__(timed, "delay", network.delay)
     return replace(problem, network=timed)
 

@@ -69,6 +69,7 @@ def references(loop: Loop) -> dict[str, int]:
         "time": 0, "degraded": 1, "lost": 16, "sent": 16 + blocks, "sends": 16 + 2 * blocks, "y": y,
         "u": y + 1024 * (1 + loop.policy.model.outputs // 1024),
         "silence": y + 1024 * (2 + loop.policy.model.outputs // 1024 + loop.policy.model.inputs // 1024),
+        "missing": y + 1024 * (3 + loop.policy.model.outputs // 1024 + loop.policy.model.inputs // 1024),
     }  # fmt: skip
 
 
@@ -101,6 +102,16 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
         UnitVariable(f"setpoint[{i - model.sensed + 1}]", first["y"] + i, "number", "input", "Set-point", start)
         for i, start in enumerate(starts(loop))
         if i >= model.sensed
+    ]
+    found += [
+        UnitVariable(
+            f"missing[{i + 1}]",
+            first["missing"] + i,
+            "truth",
+            "input",
+            f"Measurement {i + 1} of the next step is missing",
+        )
+        for i in range(model.sensed)
     ]
     if may_lose(loop):
         found += [
@@ -328,9 +339,9 @@ def print_fmu(
     """Return the functional mock-up unit (FMU) for a loop's policy.
 
     The unit contains all nodes. In each step, which is one sampling period, they receive packets, execute a step and
-    send packets. Inputs are the measurements ``y[i]`` and, if the network may drop packets, ``lost_LINK``. Outputs are
-    ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``, and ``silence_LINKS`` if the nodes add up the cost of
-    their silence.
+    send packets. Inputs are the measurements ``y[i]``, ``missing[i]`` for those that are not measured and, if the
+    network may drop packets, ``lost_LINK``. Outputs are ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``, and
+    ``silence_LINKS`` if the nodes add up the cost of their silence.
 
     Args:
         loop: loop with plant, policy and network; it also sets the precision of the nodes.

@@ -40,6 +40,7 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.c import REAL, c_literal, constant_array
 from taciturn.program.ir import Program
+from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import Entry, Name, Sent, is_entry, named
 from taciturn_export.library import entries_text, print_library
 from taciturn_export.node import EXPORTED, CNode, CoreSizes, identifier, link_code, print_node, table
@@ -51,7 +52,7 @@ class RecordedRun(Displayed):
 
     Args:
         links: links on which packets are sent, in the order of the columns.
-        measured: measurements y, (steps, p).
+        measured: measurements y, (steps, p); NaN where a sample is missing.
         drawn: uniform random numbers that the policy draws, (steps, draws).
         arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links).
         sent: 1 if a packet was sent, otherwise 0, (steps, links).
@@ -111,6 +112,9 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
             f"the loop leaves the range of {loop.precision} after {number_of(int(finite.argmin()), 'step')}; "
             "expected a policy that stabilises the loop over this network"
         )
+    for name, values in found.items():
+        if is_entry(name, SAMPLED):
+            vector.measured[values == 0.0, name.index] = np.nan
     return vector
 
 
@@ -308,7 +312,7 @@ def _title(what: str) -> str:
 
 def _print_check(name: str, nodes: Sequence[CNode], vector: RecordedRun, loop: Loop) -> str:
     """Return the data of the self-check."""
-    lines = [_title("data of the self-check"), '#include "selfcheck.h"']
+    lines = [_title("data of the self-check"), "#include <math.h>", '#include "selfcheck.h"']
     lines += [f'#include "{node.name}.h"' for node in nodes]
     for node in nodes:
         lines += [
@@ -490,8 +494,11 @@ are the set-points of a controller, if they may change: `tac_receive` takes them
   must remain in memory.
 * `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
 * `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
-  the measurement is missing or beyond FLT_MAX, or if more missed steps are left than one call executes
-  (`tac_behind`, `TAC_CATCH_UP`).
+  the measurement is beyond FLT_MAX, or if more missed steps are left than one call executes (`tac_behind`,
+  `TAC_CATCH_UP`).
+* An entry of the measurement that is NaN is **missing**, and so are all entries if the measurement is NULL: call
+  `tac_step` also in a step in which no measurement arrives. The filter then predicts, a node without a filter holds the
+  last measurement, and `node->counters.missing` counts the step.
 * A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it

@@ -22,7 +22,7 @@ from taciturn.errors import ProblemError
 from taciturn.extend import Displayed
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
-from taciturn.model.packets import fingerprint, packet_shapes, place_of, wire_links
+from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, place_of, wire_links
 from taciturn.model.policy import Policy, longest_silence
 from taciturn.model.wire import (
     CODES,
@@ -41,7 +41,7 @@ from taciturn.program.ir import Program
 from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Precision
 
-FORMAT = 3  # version of the data, TAC_FORMAT of the core
+FORMAT = 4  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
@@ -118,6 +118,7 @@ class NodeData(Displayed):
         found += struct.pack(">Q", fingerprint(self.policy, self.network))
         for (kind, link), (encoding, entries) in self._shapes.items():
             found += bytes([KINDS.index(kind), self._links.index(link), list(CODES).index(encoding.name), entries])
+            found += bytes([carries_samples(kind, link)])
             found += b"".join(map(self._bytes, _steps(encoding)))
         for one in layout.arrivals:
             kind, link = KINDS.index(one.kind), self._links.index(one.link)
@@ -143,7 +144,8 @@ class NodeData(Displayed):
         ]
         found.append(
             constant_array("tac_shape", "shapes", [
-                f"{{{_KIND[kind]}, {link_code(self.policy, link)}, {_ENCODED[encoding.name]}, {entries}u, {steps}}}"
+                f"{{{_KIND[kind]}, {link_code(self.policy, link)}, {_ENCODED[encoding.name]}, {entries}u, {steps}, "
+                f"{_truth(carries_samples(kind, link))}}}"
                 for kind, link, encoding, entries, steps in shapes
             ])
         )  # fmt: skip

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taciturn.extend import Array
-from taciturn.nodes.node import Node, Values
+from taciturn.nodes.node import Measurement, Node, Values
 from taciturn.nodes.packet import Packet
 from taciturn.program.ops import text_of
 from taciturn_udp.endpoint import Endpoint, parse_address
@@ -49,7 +49,7 @@ def logged(target: str | None, part: int | None = None) -> Generator[Told | None
 
 def log_line(
     node: Node,
-    measurement: Values | None,
+    measurement: Measurement | None,
     packets: Sequence[Packet],
     given: Values | None,
     arrived: Mapping[str, list[int]],

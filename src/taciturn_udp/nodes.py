@@ -2,8 +2,10 @@
 
 In lockstep, every node sends a mark when it has finished a step, and begins a step when it has received the marks of
 all nodes that send to it. Packets are therefore never late, and the same seeds give the same run. In real time, a node
-with a sensor begins a step when the measurement arrives. Any other node begins a step when its packet has arrived, or
-at an absolute deadline.
+begins a step when its measurement or its packet has arrived, or at an absolute deadline. That of a node with a sensor
+is earlier, so that its packet arrives before the deadlines of the others. It continues without a measurement only if
+its own clock shows that the plant should have sent one, and for a few steps: if the plant is silent, so is the node,
+and the watchdogs of its receivers expire. A packet of the plant may also state that a sample is missing.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -22,13 +25,14 @@ from taciturn.model.packets import plant_link
 from taciturn.model.wire import EITHER, LARGEST
 from taciturn.nodes.clock import JUMPED, LATE, Phase
 from taciturn.nodes.inbox import AHEAD, USABLE, Window
-from taciturn.nodes.node import Node, Values, check_seal, sealed
+from taciturn.nodes.node import Measurement, Node, Values, check_seal, sealed
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, check_plant, peers_by_link
 from taciturn_udp.logs import log_line
 from taciturn_udp.proofs import Outbox, Reception
 from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 
+BLIND = 8  # steps without a measurement from the plant for which a node with a sensor goes on
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
@@ -47,7 +51,8 @@ class NodeServer:
             packets.
         plant: address of the plant; None if the nodes contain neither sensor nor actuator.
         tick: real seconds per step; default: lockstep.
-        wait: fraction of a step for which a node waits for a packet of the step, in real time.
+        wait: fraction of a step for which a node waits for a packet of the step, in real time; for a measurement, at
+            most a quarter of a step.
         heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
         keep: storage to which the state is saved after every step; for a single node only.
         told: function called with the log line of each step.
@@ -99,7 +104,8 @@ class NodeServer:
         self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
         self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
-        self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
+        self._measurements: list[dict[int, Measurement]] = [{} for _ in nodes]
+        self._seen = [node.tick for node in nodes]  # step of the last measurement that each loop has used
         self._measured = [Window() for _ in nodes]
         self._outbox = Outbox(wire, endpoint, peers, len(nodes))
         self._held: set[int] = set()  # loops whose overflow was reported
@@ -131,7 +137,8 @@ class NodeServer:
             touched = self._take((yield until))
             now = self._clock()
             self._notice(now, until)
-            for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
+            only = self.nodes[0].measures and self._tick is None
+            for node in (self.nodes[loop] for loop in touched) if only else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
 
@@ -218,7 +225,8 @@ class NodeServer:
                 self.refused[news] += 1
                 self._answer_again(loop, now, news == "duplicate")
             elif self._begins(packet, now) and len(self._measurements[loop]) < PATIENT:
-                self._measurements[loop][packet.tick] = packet.values
+                y = tuple(None if isnan(value) else value for value in packet.values)
+                self._measurements[loop][packet.tick] = y
                 self.measured += 1
             else:
                 self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
@@ -258,7 +266,7 @@ class NodeServer:
         """Execute the steps that may begin."""
         while (tick := self._next(node, now)) is not None:
             loop = node.loop
-            measurement = self._measurements[loop].pop(tick, None)
+            measurement = self._measured_in(node, tick)
             known, overflowed = node.silent_links, node.counters["overflowed"]
             packets, given = node.step(tick, measurement)
             self._report_silence(node, known)
@@ -278,12 +286,24 @@ class NodeServer:
                 several = loop if len(self.nodes) > 1 else None
                 self._told(log_line(node, measurement, packets, given, news, several))
             now = self._clock()
-            self._expires = now + self._patience
+            if not node.measures or self._seen[loop] == tick:
+                self._expires = now + self._patience
+
+    def _measured_in(self, node: Node, tick: int) -> Measurement | None:
+        """Return the measurement of a step; if none has arrived, all outputs are missing."""
+        found, loop = self._measurements[node.loop].pop(tick, None), node.loop
+        if found is not None:
+            self._seen[loop] = tick
+        return (None,) * node.measured if found is None and node.measures else found
 
     @property
     def _unsure(self) -> bool:
-        """Whether the process was suspended, or its clock has jumped, and no packet has shown which."""
-        return self._tick is not None and not self.nodes[0].measures and self._strayed > JUMPED * self._tick
+        """Whether the process was suspended, or its clock has jumped, and no packet has shown which.
+
+        A node with a sensor is less sure: it continues without a measurement only if the plant would have sent one.
+        """
+        most = LATE if self.nodes[0].measures else JUMPED
+        return self._tick is not None and self._strayed > most * self._tick
 
     def _notice(self, now: float, until: float) -> None:
         """Add up the time that has passed beyond that for which the server waited, until a packet confirms the phase.
@@ -309,21 +329,33 @@ class NodeServer:
             heard = heard and self.endpoint.received > 0
             heard = heard and node.inbox.given(tick)
             return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
-        if node.measures:
-            known = self._measurements[loop]
-            return min(known) if known else None
+        known = self._measurements[loop] if node.measures else {}
+        first = min(known, default=None)
+        if first is not None and (first <= tick or node.tick < 0):
+            return first
         if not self.phase.known or self._unsure:
-            return None
+            return first
         prompt = [link for link, lag in node.listens.items() if lag == 0]
 
         def settled(tick: int) -> bool:
-            return bool(prompt) and all(node.inbox.settled(link, tick) for link in prompt)
+            return bool(prompt) and not node.measures and all(node.inbox.settled(link, tick) for link in prompt)
 
         come = node.tick
         while come >= 0 and settled(come + 1):  # a slow clock may be behind the packets
             come += 1
         tick = self._coming(node.tick, max(self.phase.now(now), come))
-        return tick if settled(tick) or now >= self.phase.begins(tick) + self._wait * self._tick else None
+        if node.measures and ((first is not None and first <= tick) or self._is_blind(node, tick)):
+            return first
+        return tick if settled(tick) or now >= self._deadline(tick) else None
+
+    def _is_blind(self, node: Node, tick: int) -> bool:
+        """Return whether a node with a sensor has had no measurement for too long to go on with a step."""
+        return not 0 <= self._seen[node.loop] >= tick - BLIND
+
+    def _deadline(self, tick: int) -> float:
+        """Return the time until which a step waits for its measurement or its packets."""
+        wait = min(self._wait, LATE) if self.nodes[0].measures else self._wait
+        return self.phase.begins(tick) + wait * self.phase.tick
 
     def _coming(self, last: int, present: int) -> int:
         """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
@@ -385,10 +417,12 @@ class NodeServer:
         idle = self._clock() + IDLE
         if self._patience:
             idle = min(idle, self._expires)
-        if self._tick is None or self.nodes[0].measures or not self.phase.known or self._unsure:
+        if self._tick is None or not self.phase.known or self._unsure:
             return idle
-        tick = self._coming(min(node.tick for node in self.nodes), self.phase.now(self._clock()))
-        return min(idle, self.phase.begins(tick) + self._wait * self._tick)
+        present = self.phase.now(self._clock())
+        due = [(node, self._coming(node.tick, present)) for node in self.nodes]
+        due = [(node, tick) for node, tick in due if not (node.measures and self._is_blind(node, tick))]
+        return min([idle, *(self._deadline(tick) for _, tick in due)])
 
     def _save(self, node: Node) -> None:
         """Save the state of the node, if a storage is given."""

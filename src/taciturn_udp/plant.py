@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from math import nan
 from typing import Any, Protocol
 
 from taciturn.extend import Array
 from taciturn.model.wire import BACK, PROOFS
 from taciturn.nodes.inbox import AHEAD, Window
-from taciturn.nodes.node import Values
+from taciturn.nodes.node import Measurement, Values
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, peers_by_link
 from taciturn_udp.proofs import Reception
@@ -32,8 +33,8 @@ class Physical(Protocol):
         ...
 
     @property
-    def measurement(self) -> Values:
-        """Measurement y at the present step, shape (p,)."""
+    def measurement(self) -> Measurement:
+        """Measurement y at the present step, shape (p,); None in place of an output whose sample is missing."""
         ...
 
     @property
@@ -182,7 +183,8 @@ class PlantServer:
             if again and self._complete(loop, tick):
                 continue
             for link, to in self._sensors.items() if asked is None else [(asked, self._sensors[asked])]:
-                y = tuple(plant.measurement[i] for i in self.wire.plant[link].outputs)
+                entries = [plant.measurement[i] for i in self.wire.plant[link].outputs]
+                y = tuple(nan if value is None else value for value in entries)
                 packet = Packet("measurement", link, tick, tick & 0xFFFFFFFF, y, self._epoch, loop)
                 self.endpoint.send(self.wire.encode(packet), to)
 

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
+from math import nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
@@ -38,7 +39,7 @@ WAITING = 64  # steps that a packet may be early
 NO_MARKS = 0xFFFFFFFF
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
-    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated", "overflowed",
+    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated", "missing", "overflowed",
 )  # fmt: skip
 DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
 ACCESS = """
@@ -219,14 +220,15 @@ class DeviceNode(Node):
     def step(
         self,
         tick: int,
-        measurement: Sequence[float] | None = None,
+        measurement: Sequence[float | None] | None = None,
         packets: Iterable[Packet] = (),
         draws: Sequence[float] | None = None,
     ) -> Stepped:
         """Execute one step on the device."""
         assert not packets, "a node in C receives datagrams"
-        y = self._measured(measurement)
-        given = (c.c_double * len(y))(*y) if y else None
+        y, known = self._measured(measurement)
+        entries = [value if there else nan for value, there in zip(y, known, strict=True)]
+        given = (c.c_double * len(y))(*entries) if y else None
         number = c.c_uint64(tick)
         while not (done := self._code.tac_step(self._self, number, given, None)):
             if not self._code.tac_behind(self._self, number):

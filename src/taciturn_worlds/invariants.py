@@ -9,13 +9,14 @@ from __future__ import annotations
 import bisect
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from math import isnan
 from typing import Any, TypeAlias
 
 from taciturn.extend import number_of
 from taciturn.model.packets import PlantLink, plant_link, sender_of
 from taciturn.model.wire import PROOFS
 from taciturn.nodes.clock import JUMPED
-from taciturn.nodes.node import Node, Values
+from taciturn.nodes.node import Measurement, Node, Values
 from taciturn.nodes.packet import REFUSALS, Packet
 from taciturn_udp.nodes import LEFT_BEHIND, NodeServer
 from taciturn_udp.plant import PlantServer
@@ -32,6 +33,7 @@ DATAGRAMS = ("received", *REFUSALS, "unproven", "proofs")  # counters of a node,
 UNCOUNTED = (
     "sent ",
     "missed",
+    "missing",
     "repeated",
     "unsent",
     "overflowed",
@@ -116,7 +118,7 @@ class Monitor:
         self._starts: dict[str, dict[int, int]] = defaultdict(dict)  # number of an epoch, by its sender
         self._forged = 0  # forged datagrams that the plant was sent
         self._nonces: dict[tuple[str, str], list[int]] = defaultdict(list)  # of challenges, by sender and link
-        self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
+        self._sent: dict[tuple[str, str, Measurement], list[Order]] = defaultdict(list)
         self._last: dict[tuple[str, str, int], int] = {}  # last step with a packet, by sender, link and epoch
         self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
         self._applied: dict[str, Order] = {}  # by link of the plant
@@ -152,7 +154,8 @@ class Monitor:
         starts = self._starts[role]
         order = (starts.setdefault(packet.epoch, len(starts)), packet.tick)
         if packet.kind in ("data", "input", "measurement"):
-            known = self._sent[packet.kind, packet.link, packet.values]
+            values = tuple(None if isnan(value) else value for value in packet.values)  # a missing sample
+            known = self._sent[packet.kind, packet.link, values]
             if order in known:
                 return  # again, after a challenge
             bisect.insort(known, order)
@@ -209,7 +212,9 @@ class Monitor:
         if node.tick > now + EARLY:
             self.fail(PACE, f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
         given = life.plant
-        if "y" in line and given and (0, node.tick) not in self._sent["measurement", given, tuple(line["y"])]:
+        y = tuple(line.get("y", ()))
+        some = any(value is not None for value in y)  # a node goes on without a measurement that has not arrived
+        if some and given and (0, node.tick) not in self._sent["measurement", given, y]:
             self.fail(
                 ORDER, f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent"
             )

@@ -227,6 +227,7 @@ class World:
     ) -> None:
         """Start all processes, and enter the faults into the queue of events."""
         WORLDS.check(loop.parts, loop.policy.designed_for)
+        loop = replace(loop, network=replace(loop.network, missing={}))  # faults alone let samples be missing
         self.loop, self.seed, self.made = loop, seed, devices
         policy = self.policy = loop.policy
         self.time = VirtualTime()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 from zlib import crc32
 
@@ -476,6 +476,14 @@ def links(where: str, **law: object) -> Callable[[Draft], None]:
     return add
 
 
+def missing(draft: Draft, law: object) -> None:
+    """Let samples be missing: of the sensor, or of the first node that measures, whatever its place."""
+    unneeded(draft, "network")
+    nodes = draft.tables.get("nodes", {"sensor": {"measures": True}})
+    name = next(name for name, role in nodes.items() if role.get("measures"))
+    draft.table("links").setdefault(name, {})["missing"] = law
+
+
 def intervals(**law: int) -> Callable[[Draft], None]:
     """Limit the intervals of the links on which the kind sends, whatever the network is called."""
 
@@ -819,6 +827,8 @@ def features() -> list[Feature]:
         "lossy valves": ("lossy valves", links("valve", loss=0.2, acknowledged=True)),
         "unacknowledged": ("lossy probes", links("", loss=0.15)),
         "bursty valves": ("lossy valves", links("valve", burst=BURST, acknowledged=True)),
+        "missing samples": ("missing", partial(missing, law=0.1)),
+        "missing samples in bursts": ("missing", partial(missing, law=BURST)),
         "prices": ("prices", links("valve", price=3.0)),
         "rounded probes": ("rounded", links("probe", payload="float32")),
         "energy of probes": ("joules", links("probe", energy=0.01, battery=1000.0)),

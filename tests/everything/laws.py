@@ -92,6 +92,8 @@ class Nodes:
 def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
     """Return the nodes of a file; without names both links of the triangle exist, and the kind uses what it uses."""
     table, links = tables.get("network", {}), tables.get("links", {})
+    if any("missing" in law for law in links.values()):
+        raise NotModelledError("missing samples")
     delay = table.get("delay", 0)
     if "nodes" not in tables:
         told = table.get("protocol", "ideal") == "tcp"

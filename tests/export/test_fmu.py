@@ -211,6 +211,7 @@ def test_set_points_start_at_those_that_the_problem_states(make: Make) -> None:
         instance.close()
     assert applied[0] == applied[1] != applied[2]
     starts = {one.name: one.start for one in instance.described.modelVariables if one.causality == "input"}
+    assert starts.pop("missing[1]") == "false"
     assert {name: float(start) for name, start in starts.items()} == {"y[1]": 0.0, "setpoint[1]": 3.0}
 
 

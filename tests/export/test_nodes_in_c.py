@@ -305,13 +305,13 @@ def test_the_last_sequence_number_ends_an_epoch() -> None:
 
 
 def test_what_is_no_tick_and_no_measurement_changes_nothing() -> None:
-    """A measurement that is missing or not finite, a step that is past, and the one that has no number."""
+    """A measurement that is not finite, a step that is past, and the one that has no number."""
     found = case("ideal", "controller", 0)
     node = Device(found.library)
     assert node.step(0, [1.0, 2.0])
     node.send()
     before = node.memory
-    for y in (None, [1.0, float("nan")], [float("-inf"), 1.0], [1.0, -3.5e38]):
+    for y in ([float("inf"), float("nan")], [float("-inf"), 1.0], [1.0, -3.5e38]):
         assert not node.step(1, y)
     assert not node.step(2**64 - 1, [1.0, 2.0])
     assert node.counters == {}

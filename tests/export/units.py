@@ -108,7 +108,9 @@ def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     """Return the inputs of a unit in a step."""
     p = loop.policy.model.sensed  # then come the set-points
     names = [f"y[{i + 1}]" if i < p else f"setpoint[{i + 1 - p}]" for i in range(loop.policy.model.outputs)]
-    values: dict[str, Any] = dict(zip(names, map(float, vector.measured[tick]), strict=True))
+    told = vector.measured[tick]
+    values: dict[str, Any] = dict(zip(names, map(float, np.nan_to_num(told)), strict=True))
+    values |= {f"missing[{i + 1}]": bool(np.isnan(told[i])) for i in range(p)}
     if may_lose(loop):
         values |= {f"lost_{identifier(link)}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
     return values

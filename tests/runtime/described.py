@@ -132,7 +132,8 @@ class DescribedNode:
             if tick > 0:
                 self.counters[i] = one["next"][self.counters[i]]
             self.inputs[one["input"]] = float(self.counters[i])
-        self.inputs[: data["measurement"]] = list(map(float, y[: data["measurement"]]))
+        size = data["measurement"]
+        self.inputs[: 2 * size] = [*map(float, y[:size]), *[1.0] * size]
         self.collect(0, tick)
         if data["draws"]:
             self.drawn, drawn = run(data["draws"], self.drawn, ())

@@ -112,7 +112,10 @@ class Computation {
       this.run(parts[1]);
     }
     for (const { input, start, next } of counters) inputs[input] = this.stepped ? next[inputs[input]] : start;
-    measurement.forEach((value, i) => (inputs[i] = value));
+    measurement.forEach((value, i) => {
+      inputs[i] = Number.isNaN(value) ? 0 : value;
+      inputs[measurement.length + i] = Number.isNaN(value) ? 0 : 1;
+    });
     read(0);
     if (draws) {
       const drawn = compute(draws, this.words, []);

@@ -376,7 +376,7 @@ def test_bad_nodes_are_refused() -> None:
         masses("controller", watchdog=3)
     with pytest.raises(ProblemError, match="1 finite numbers"):
         masses("actuator", safe=(1.0, 2.0))
-    for measurement in (None, [1.0], [float("nan"), 0.0]):
+    for measurement in ([1.0], [float("nan"), 0.0], [None, float("nan")]):
         with pytest.raises(ProblemError, match="2 finite numbers of at most"):
             masses("controller").step(0, measurement)
     with pytest.raises(ProblemError, match="nodes cannot evaluate"):

@@ -114,7 +114,8 @@ export class Wire {
     if (end !== HEADER + entries * bytes) return "malformed";
     const scale = (i) => (encoding === 2 ? shape.ranges[i] / 32767 : 1);
     const values = Array.from({ length: entries }, (_, i) => datagram[`read${name}`](HEADER + bytes * i) * scale(i));
-    if (!values.every((value) => Math.abs(value) <= LARGEST)) return "malformed"; // not if it is no number
+    const carried = (value) => Math.abs(value) <= LARGEST || (shape.samples && Number.isNaN(value));
+    if (!values.every(carried)) return "malformed";
     return { ...header, values };
   }
 }

@@ -162,6 +162,11 @@ class _EverySample(BoundedStep):
         """Draw the same numbers as the loop itself."""
         TimeStep.draw_losses(self, policy, network)
 
+    def draw_samples(self, network: Network) -> dict[str, Truth]:
+        """Take every sample as measured, after the same draws as in the loop itself."""
+        TimeStep.draw_samples(self, network)
+        return {}
+
     def take(self, step: Step) -> None:
         """Take limits as absent, and any other function as it is; its result may not be needed."""
         if isinstance(step, Draw):

@@ -75,6 +75,7 @@ GRAPH = names("nodes", "measures applies controls site") | {"network.nodes"}
 LOSSES = frozenset({"links.loss"})
 BURSTS = frozenset({"links.burst"})
 ROUNDING = frozenset({"links.payload"})
+SAMPLES = frozenset({"network.missing"})
 CONTROLLER = names("controller", "A B C D E F G dt disturbance setpoint start_input") | (
     names("disturbance", "time_constant deviation")
 )
@@ -100,7 +101,7 @@ INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excl
 LINEAR_LOOP = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
 PLANTS = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | LOADS | FUNCTION | LIMIT | JUMPS | DRIFT
-NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
+NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING | SAMPLES
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS | INTERVALS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
 GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS

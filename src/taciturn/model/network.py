@@ -24,7 +24,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, count, flag, instance, quoted
+from taciturn._arrays import Array, count, flag, instance, number, quoted
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
@@ -171,6 +171,7 @@ class Network(Displayed):
         nodes: the roles of the nodes by name, of which one controls.
         links: the laws of the links by node; a link that is not listed is ideal.
         stated: the key of a problem file by link and property, for messages; default ``links.LINK.PROPERTY``.
+        missing: by node that measures, the probability that its sample is missing in a step, or a law of bursts.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], an ideal network has losses, a link has both loss and burst,
@@ -187,6 +188,7 @@ class Network(Displayed):
     links: Mapping[str, LinkLaw] = field(default_factory=lambda: {"sensor": IDEAL_LINK, "actuator": IDEAL_LINK})
     delay: int = 0
     stated: Mapping[tuple[str, str], str] = field(default_factory=lambda: {}, compare=False)
+    missing: Mapping[str, float | LossLaw] = field(default_factory=lambda: {})
 
     def __init__(
         self,
@@ -203,6 +205,7 @@ class Network(Displayed):
         nodes: Mapping[str, NodeRole] | None = None,
         links: Mapping[str, LinkLaw] | None = None,
         stated: Mapping[tuple[str, str], str] | None = None,
+        missing: Mapping[str, float | LossLaw] | None = None,
     ) -> None:
         """Check the arguments and store the graph."""
         object.__setattr__(self, "delay", count("network.delay", delay, 0))
@@ -214,6 +217,7 @@ class Network(Displayed):
             object.__setattr__(self, "nodes", USUAL)
             object.__setattr__(self, "links", usual_links(protocol, payload, laws))
             object.__setattr__(self, "stated", SHORT)
+            object.__setattr__(self, "missing", self._checked_samples(missing or {}))
             return
         if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in laws.values()):
             raise ProblemError(
@@ -227,6 +231,7 @@ class Network(Displayed):
         object.__setattr__(self, "stated", dict(stated or {}))
         self._check_nodes()
         object.__setattr__(self, "links", self._checked_links(links or {}))
+        object.__setattr__(self, "missing", self._checked_samples(missing or {}))
 
     def summary(self) -> Mapping[str, object]:
         """Return the values to display: the nodes and their roles, the links, and the delay."""
@@ -235,7 +240,7 @@ class Network(Displayed):
 
     def __hash__(self) -> int:
         """Return the hash of the nodes, the links and the delay."""
-        return hash((*self.nodes.items(), *self.links.items(), self.delay))
+        return hash((*self.nodes.items(), *self.links.items(), self.delay, *self.missing.items()))
 
     def _check_nodes(self) -> None:
         for name, role in self.nodes.items():
@@ -278,6 +283,23 @@ class Network(Displayed):
                     f"link: remove links.{name}, or remove nodes.{name}.site"
                 )
         return {name: links.get(name, IDEAL_LINK) for name in remote}
+
+    def _checked_samples(self, missing: Mapping[str, float | LossLaw]) -> dict[str, float | LossLaw]:
+        """Return the laws by which samples are missing, without those by which none is missing."""
+        found = dict[str, float | LossLaw]()
+        for name, law in missing.items():
+            key = f"links.{name}.missing"
+            if name not in self.sensors:
+                raise ProblemError(
+                    f"{key} is given, but {name!r} is no node that measures; expected one of the nodes "
+                    f"{', '.join(self.sensors)}"
+                )
+            if not isinstance(law, LossLaw):
+                found[name] = number(key, law, 0.0, 1.0, closed=True)
+                continue
+            law.check()
+            found[name] = law.loss if law.constant else law
+        return {name: found[name] for name in self.sensors if found.get(name, 0.0) != 0.0}
 
     def _remote(self) -> list[str]:
         return [name for name in self.nodes if self.place(name) != self.place(self.controller)]
@@ -408,6 +430,10 @@ class Network(Displayed):
                 text = ", ".join(f"{lost}{TOLD[self.links[link].protocol]}" for link, lost in losses.items())
         if self.delay:
             text += f"; {number_of(self.delay, 'step')} of delay"
+        for node, law in self.missing.items():
+            share = law.loss if isinstance(law, LossLaw) else law
+            text += f"; {percent(share)} of the samples of {node} are missing"
+            text += ", in bursts" if isinstance(law, LossLaw) else ""
         return text + (f"; numbers as {self.payload}" if self.rounded else "")
 
     def key(self, link: str, name: str) -> str:
@@ -501,9 +527,12 @@ class Network(Displayed):
 
     @property
     def delivery(self) -> Network:
-        """A copy of the network with losses and delay only: no rounding, prices, energies or limits on intervals."""
+        """A copy of the network with losses and delay only: no rounding, prices, energies or limits on intervals, and
+        no missing samples.
+        """
         usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
-        return self.with_laws(usual | IDEAL_LINK.intervals)
+        found = self.with_laws(usual | IDEAL_LINK.intervals)
+        return replace(found, missing={}) if found.missing else found
 
     def with_intervals(self, other: Network) -> Network:
         """Return a copy of this network with the limits on send intervals of another network."""

@@ -177,6 +177,11 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
     return shapes
 
 
+def carries_samples(kind: str, link: str) -> bool:
+    """Return whether packets are measurements of a plant, in which NaN is a missing output."""
+    return kind == "measurement" and link != SETPOINT
+
+
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
     """Return the signals in the packets of a link that the receiver obtains only from these packets."""
     receiver = policy.network.receiver(link)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.model.network import Network
-from taciturn.model.packets import fingerprint, packet_shapes, place_of, roles, wire_links
+from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, place_of, roles, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Send
 from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, OFFSETS, PERSON, TAG_SIZE, VERSION
@@ -26,7 +26,7 @@ from taciturn.program.ir import Program
 from taciturn.program.node import lay_out, translate_node
 from taciturn.program.ops import State, needed, text_of, tiles
 
-_DESCRIBED = 1  # version of the description
+_DESCRIBED = 2  # version of the description
 
 
 def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, Any]:
@@ -53,6 +53,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
         packets.append({
             "kind": KINDS.index(kind), "link": links.index(link), "encoding": list(CODES).index(encoding.name),
             "entries": entries, "ranges": list(encoding.full_scale),
+            "samples": carries_samples(kind, link),
             "signals": [{"name": name, "size": policy.sizes[name]} for name in names],
         })  # fmt: skip
     return {

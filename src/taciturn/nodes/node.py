@@ -42,8 +42,9 @@ from taciturn.program.python import CompiledStep, compile_python
 
 _SEAL = "digest"
 _CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
-FORMAT = 4  # format version of a saved state
+FORMAT = 5  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
+Measurement: TypeAlias = tuple[float | None, ...]  # None in place of an output whose sample is missing
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
@@ -148,8 +149,13 @@ class Node:
 
     @property
     def measures(self) -> bool:
-        """True if the node measures outputs, so that each step requires a measurement."""
+        """True if the node measures outputs, so that each step takes a measurement."""
         return self._layout.measured > 0
+
+    @property
+    def measured(self) -> int:
+        """Number of outputs that the node measures."""
+        return self._layout.measured
 
     @property
     def actuates(self) -> bool:
@@ -212,7 +218,7 @@ class Node:
     def step(
         self,
         tick: int,
-        measurement: Sequence[float] | None = None,
+        measurement: Sequence[float | None] | None = None,
         packets: Iterable[Packet] = (),
         draws: Sequence[float] | None = None,
     ) -> Stepped:
@@ -224,7 +230,9 @@ class Node:
 
         Args:
             tick: number of the step, from 0.
-            measurement: measurement y, (p,), if the node contains the sensor.
+            measurement: measurement y, (p,), if the node contains the sensor. None in place of an output, or of all,
+                states that it is missing: the filter of the node then uses its prediction, and a node without a filter
+                its last measurement. The step counts as ``missing``, and the node is degraded.
             packets: packets received since the last step, in any order.
             draws: uniform random numbers for the policy; default: numbers from the node's own generator.
 
@@ -232,9 +240,9 @@ class Node:
             The packets to send, and the plant input if the node contains the actuator.
 
         Raises:
-            ProblemError: the measurement is missing, has the wrong size, or is not finite.
+            ProblemError: the measurement has the wrong size, or is not finite.
         """
-        y = self._measured(measurement)
+        y, known = self._measured(measurement)
         for packet in packets:
             self.sort_in(packet)
         for link, heard in self._heard_at.items():
@@ -255,7 +263,10 @@ class Node:
                 for behind in range(max(self.tick + 1, tick - _CAUGHT_UP), tick):
                     sent += self._advance(behind, y, None)
             self._degrade("joined" if joins else "missed", tick)
-        sent += self._advance(tick, y, draws)
+        if not all(known):
+            self.counters["missing"] += 1
+            self._degrade("missing", tick)
+        sent += self._advance(tick, (*y, *map(float, known)), draws)
         return Stepped(tuple(sent), self._output())
 
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
@@ -328,19 +339,22 @@ class Node:
                 f"the given data are not a saved state of a node ({error!r}); expected the result of Node.save"
             ) from None
 
-    def _measured(self, measurement: Sequence[float] | None) -> Values:
+    def _measured(self, measurement: Sequence[float | None] | None) -> tuple[Values, tuple[bool, ...]]:
+        """Return the outputs, with 0 in place of those that are missing, and whether each is measured."""
         if not self.measures:
-            return ()
+            return (), ()
+        size = self._layout.measured
         try:
-            found = () if measurement is None else tuple(map(float, measurement))
-        except (TypeError, ValueError):  # such as None in place of a number
-            found = ()
-        if len(found) != self._layout.measured or not fits(found):
+            listed = (None,) * size if measurement is None else tuple(measurement)
+            found = tuple(0.0 if value is None else float(value) for value in listed)
+        except (TypeError, ValueError):  # such as a text in place of a number
+            listed = found = ()
+        if len(found) != size or not fits(found):
             raise ProblemError(
-                f"the measurement of the {self.role} is {measurement}; expected {self._layout.measured} finite "
-                f"numbers of at most {LARGEST:.2g} in magnitude at each step"
+                f"the measurement of the {self.role} is {measurement}; expected {size} finite numbers of at most "
+                f"{LARGEST:.2g} in magnitude, with None in place of an output that is missing"
             )
-        return found
+        return found, tuple(value is not None for value in listed)
 
     def _advance(self, tick: int, y: Values, draws: Sequence[float] | None) -> list[Packet]:
         """Finish the previous step, and execute this step up to its outputs."""

@@ -5,6 +5,7 @@
 The payload has the encoding of its link: numbers, or multiples of a resolution. The tag is a keyed digest (BLAKE2s) of
 all that stands before it. A datagram that is not a valid packet is rejected with a one-word reason, and has no other
 effect: its length, version, CRC and tag are checked before a field is used, and its numbers before they are returned.
+In a measurement of the plant, NaN is a missing output; every other number of a packet is finite.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import hmac
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from math import isnan
 from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.network import Network
-from taciturn.model.packets import fingerprint, packet_shapes, plant_links, wire_links
+from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, plant_links, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import (
     AUTHENTICATED,
@@ -66,7 +68,7 @@ class Packet(NamedTuple):
         link: name of the link, or ``"plant"`` (``"plant/NODE"`` if several nodes measure or apply inputs).
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.
-        values: payload, as the receiver decodes it.
+        values: payload, as the receiver decodes it; NaN in place of an output that is missing in a measurement.
         epoch: number that increases when a node starts without its state.
         loop: number of the loop.
         back: whether a mark, a challenge or an answer travels against the link; other kinds have one direction.
@@ -141,7 +143,7 @@ class Wire:
             return self._write(packet, BYTES, 0, _NONCE.pack(packet.nonce))
         kind, link = _KIND_CODES[packet.kind], self._codes[packet.link]
         shape = self._shapes.get((kind, link))
-        if shape is None or len(packet.values) != shape.entries or not fits(packet.values):
+        if shape is None or len(packet.values) != shape.entries or not _carries(packet, packet.values):
             expected = "a kind and a link that the policy uses"
             if shape is not None:
                 expected = f"{shape.entries} finite numbers, none beyond {LARGEST:.2g}"
@@ -180,7 +182,7 @@ class Wire:
         if shape is None or coding != (shape.code, shape.entries) or len(payload) != shape.size:
             return "malformed"
         values = shape.read(payload)
-        return packet._replace(values=values) if fits(values) else "malformed"
+        return packet._replace(values=values) if _carries(packet, values) else "malformed"
 
     def _write(self, packet: Packet, code: int, entries: int, payload: bytes) -> bytes:
         """Return the datagram of a payload: header, payload, CRC and, with a key, the tag."""
@@ -212,6 +214,11 @@ class Wire:
             return "malformed"
         packet = Packet(KINDS[kind], known, tick, sequence, (), epoch, loop, KINDS[kind] in EITHER and back > 0)
         return packet, (coded & ~AUTHENTICATED, entries), datagram[HEADER_SIZE:end]
+
+
+def _carries(packet: Packet, values: Sequence[float]) -> bool:
+    """Return whether a packet may contain these numbers."""
+    return fits([one for one in values if not isnan(one)] if carries_samples(packet.kind, packet.link) else values)
 
 
 def _is_signed(datagram: bytes, keys: Sequence[bytes]) -> bool:

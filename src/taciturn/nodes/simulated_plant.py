@@ -15,11 +15,15 @@ from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.losses import LossLaw
 from taciturn.model.network import REFERENCE
 from taciturn.model.wire import fits
+from taciturn.nodes.node import Measurement
 from taciturn.program.ir import Program
+from taciturn.program.missing import SAMPLED, sensed_by
 from taciturn.program.ops import is_entry
 from taciturn.program.python import CompiledStep, compile_python
+from taciturn.program.translation import sample_state
 
 PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not model")
 
@@ -33,7 +37,7 @@ class SimulatedPlant:
 
     Attributes:
         state: state of the plant, (n,).
-        measurement: measurement of the present step.
+        measurement: measurement of the present step; None in place of an output whose sample is missing.
 
     Example:
         >>> import taciturn
@@ -53,14 +57,16 @@ class SimulatedPlant:
         count("seed", seed, 0)
         program, self._turn = _compile(loop)
         start = loop.start(program, 1, seed)[:, 0]
-        self._states: Sequence[Any] = [
+        states: list[Any] = [
             int(value.view(np.uint64)) if state.word else float(value)
             for value, state in zip(start, program.states, strict=True)
         ]
+        self._states: Sequence[Any] = states
         self._start = {i: self._states[i] for i, state in enumerate(program.states) if state.name == "x"}
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
         self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y", REFERENCE)]
+        self._known = {self._y[name.index]: i for i, name in enumerate(outputs) if is_entry(name, SAMPLED)}
         self._x = [i for i, name in enumerate(outputs) if is_entry(name, "x")]
         self.state: Array = loop.start_of_plant(1, seed)[0][:, 0]
         plant = loop.problem.plant
@@ -70,7 +76,9 @@ class SimulatedPlant:
         noise: Array = spread @ draws.standard_normal((spread.shape[1],))
         loads = loop.problem.loads
         shown = 0.0 if loads is None else loads.shown @ loads.table[0]
-        self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + shown + noise).tolist())
+        y: list[float] = (plant.C @ self.state + shown + noise).tolist()
+        known = self._first_samples(program, states, draws)
+        self.measurement: Measurement = tuple(y[i] if i not in known or known[i] else None for i in range(len(y)))
         self._began = self.state, self.measurement
 
     @property
@@ -101,7 +109,9 @@ class SimulatedPlant:
         before, u = self.state.tolist(), [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)
         self.state = np.array([outputs[i] for i in self._x])
-        self.measurement = tuple(outputs[i] for i in self._y)
+        y = tuple(outputs[i] for i in self._y)
+        known = self._known
+        self.measurement = tuple(outputs[i] if i not in known or outputs[known[i]] else None for i in self._y)
         self.tick += 1
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
@@ -110,12 +120,28 @@ class SimulatedPlant:
                 f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
-        if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
+        if not (isfinite(outputs[self._cost]) and fits(y)):
             raise UnstableError(
                 f"the state of the plant exceeds the range of double precision at step {self.tick}: the loop is "
                 "unstable; expected a policy that stabilises the plant over this network"
             )
         return outputs[self._cost]
+
+    def _first_samples(self, program: Program, states: list[Any], draws: np.random.Generator) -> dict[int, bool]:
+        """Draw which outputs are measured in the first step, by output, for nodes whose samples may be missing."""
+        network, known = self.loop.network, dict[int, bool]()
+        places = {state.name: i for i, state in enumerate(program.states)}
+        for node, rows in sensed_by(self.loop.policy).values():
+            law = network.missing.get(node)
+            if law is None:
+                continue
+            chance, turn = draws.random(2)
+            loss, place = law.loss if isinstance(law, LossLaw) else law, places.get(sample_state(node))
+            if isinstance(law, LossLaw) and place is not None:
+                state = int(states[place])
+                loss, states[place] = float(law.losses[state]), float(law.move(turn)[state])
+            known |= dict.fromkeys(rows, bool(chance > loss))
+        return known
 
     def restart(self) -> None:
         """Set the plant to its initial state, as after an emergency stop. The step number and the noise continue."""

@@ -29,18 +29,17 @@ from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.node import Values
 from taciturn.program.all_nodes import (
     HELD,
-    MEASURED,
     TOLD,
     Informed,
     change_of,
     copies_of_inputs,
     fate_of,
-    predicted_outputs,
     translate_command,
     translate_policy,
 )
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
+from taciturn.program.missing import known_of, predicted_outputs, sensed_by
 from taciturn.program.ops import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.program.translation import APPLIED, link_state
@@ -123,10 +122,11 @@ class Nodes:
         check_network(self.policy, self.network)
         begun, self.notes = _started(self.policy, self.network, estimate, start_input)
         self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
-        self._predicts, model = predicted_outputs(self.policy) is not None, self.policy.model
+        model, sensed = self.policy.model, sensed_by(self.policy)
+        self._order = [index for _, outputs in sensed.values() for index in outputs]  # of the flags of the outputs
         self._copies = copies_of_inputs(self.policy)
         taken = {"y": model.sensed, REFERENCE: model.set_points, **dict.fromkeys(map(fate_of, self.links), 1)}
-        taken |= {MEASURED: model.sensed} if self._predicts else {}
+        taken |= {known_of(signal): len(outputs) for signal, (_, outputs) in sensed.items()}
         self._changed = {copy.signal: len(copy.effect) for copy in self._copies}
         told = {TOLD: 1} if self._changed else {}
         taken |= told | {change_of(signal): size for signal, size in self._changed.items()}
@@ -155,8 +155,8 @@ class Nodes:
         arrived.
 
         Args:
-            measurement: measurement y, (p,). None in place of an output, or of all, states that it is not measured: the
-                filter then uses its prediction.
+            measurement: measurement y, (p,). None in place of an output, or of all, states that it is missing: a filter
+                at its node then uses its prediction, and another node its last measurement.
             reference: set-points from this step on, (z,), if they may change (``[reference] steps`` or ``file``);
                 default: those of the step before.
             applied: input that the actuators really applied in the step before, (m,), if limits that the model of the
@@ -171,14 +171,14 @@ class Nodes:
 
         Raises:
             ProblemError: an argument has the wrong size, or is not finite or beyond 3.4e38; or the results of the step
-                are, and the nodes are then as before the step; an output is not measured and no filter predicts it;
-                set-points are given to a policy for constant ones; an applied input is given in the first step, or for
-                a policy whose nodes do not use it; or a fate is that of another link.
+                are, and the nodes are then as before the step; set-points are given to a policy for constant ones; an
+                applied input is given in the first step, or for a policy whose nodes do not use it; or a fate is that
+                of another link.
         """
         y, known = self._completed(measurement)
         points = self.reference if reference is None else self._followed(reference)
         changes = self._changes(None if applied is None else _checked("applied", applied, self.policy.model.inputs))
-        inputs = [*y, *points, *self._told(fates or {}), *(known if self._predicts else ()), *changes]
+        inputs = [*y, *points, *self._told(fates or {}), *(known[index] for index in self._order), *changes]
         memory, values = self.turns.turn(self.tick, self._memory, inputs)
         if not (np.isfinite(memory).all() and fits(_values(values, self.turns.outputs.items(), APPLIED))):
             raise ProblemError(
@@ -220,11 +220,6 @@ class Nodes:
         listed = [None] * p if measurement is None else measurement
         entries = list[object](cast("Sequence[object]", listed)) if isinstance(listed, list | tuple) else []
         missing = [value is None for value in entries] or [False] * p
-        if any(missing) and not self._predicts:
-            raise ProblemError(
-                f"an output is not measured, and no filter of this {self.policy.kind} policy predicts it; expected a "
-                "number for each output, or a policy whose controller filters measurements with noise"
-            )
         given: object = [0.0 if value is None else value for value in entries] or measurement
         y = _checked("measurement", cast("ArrayLike", given), p)
         return y.tolist(), [float(not absent) for absent in missing]
@@ -420,7 +415,8 @@ def _command(policy: Policy, network: Network, measured: bool = False) -> Array 
     given[Entry(TOLD, 0)] = 0.0
     outputs = range(policy.model.sensed)
     given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
-    given |= {Entry(name, i): value for name, value in (("y", 0.0), (MEASURED, float(measured))) for i in outputs}
+    given |= {Entry("y", i): 0.0 for i in outputs}
+    given |= {Entry(known_of(name), i): float(measured) for name in sensed_by(policy) for i in outputs}
     start: list[float] = [0.0 if isinstance(state.start, tuple) else state.start for state in program.states]
     values = compile_python(program)(start, [given.get(name, 0.5) for name in program.inputs])[1]
     return np.array(values) + 0.0

@@ -538,7 +538,7 @@ def _graph_of(file: File) -> Network:
         raise ProblemError(
             f"network.{key} is given with [nodes] or [links]; expected the properties of each link in [links.NAME]"
         )
-    nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
+    nodes, links, missing = dict[str, NodeRole](), dict[str, LinkLaw](), dict[str, float | LossLaw]()
     for name, role in (file.nodes or {}).items():
         try:
             nodes[name] = NodeRole(**role)
@@ -546,11 +546,17 @@ def _graph_of(file: File) -> Network:
             raise ProblemError(f"nodes.{name}: {error}") from None
     for name, keys in (file.links or {}).items():
         law: dict[str, Any] = {**keys, "burst": _burst(f"links.{name}.burst", keys.get("burst"))}
+        samples = law.pop("missing", None)
+        if samples is not None:
+            bursts = cast("dict[str, Any]", samples) if isinstance(samples, dict) else None
+            missing[name] = _burst(f"links.{name}.missing", bursts) or cast("float", samples)
+            if len(keys) == 1:  # the node may be at the controller's site, without a link
+                continue
         try:
             links[name] = LinkLaw(**law)
         except ProblemError as error:
             raise ProblemError(f"links.{name}.{error}") from None
-    return Network(delay=table.delay, nodes=nodes or None, links=links)
+    return Network(delay=table.delay, nodes=nodes or None, links=links, missing=missing)
 
 
 def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:

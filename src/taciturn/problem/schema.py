@@ -231,6 +231,13 @@ class OtherDisturbanceKeys(Displayed):
     file: str | None = None
 
 
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OtherLinkKeys(Displayed):
+    """The key ``missing`` of ``[links.NAME]``, which is no property of a link, but of the samples of its node."""
+
+    missing: float | dict[str, Any] | None = None
+
+
 PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 
 
@@ -250,7 +257,7 @@ class OtherControllerKeys(Displayed):
 NominalPlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, ActualKeys]
 CostKeys: TypeAlias = Annotated[dict[str, Any], Cost, OtherCostKeys]
 NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
-LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
+LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw, OtherLinkKeys]
 ReferenceKeys: TypeAlias = Annotated[dict[str, Any], Reference, SetPoint, OtherReferenceKeys]
 EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance, OtherDisturbanceKeys]
 ControllerKeys: TypeAlias = Annotated[dict[str, Any], OtherControllerKeys, Controller, ContinuousController]

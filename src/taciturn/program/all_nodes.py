@@ -5,8 +5,8 @@ numbers, and gives the input of the plant, the nodes' copies of it, and whether 
 link. ``taciturn.loop`` walks through the same steps (``begin_time_step``, ``measure``, ``carry_out``) between its own
 of the plant.
 
-A program for real plants is informed of more (``Informed``): which outputs are not measured and are to be predicted,
-which input was really applied, and what becomes of a packet. ``translate_command`` stops at the command of the
+A program for real plants is informed of more (``Informed``): which outputs are missing (``program.missing``), which
+input was really applied, and what becomes of a packet. ``translate_command`` stops at the command of the
 controller.
 """
 
@@ -23,18 +23,26 @@ from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
-from taciturn.model.steps import ONE, Assign, Step, Terms
-from taciturn.model.theory import INNOVATION
+from taciturn.model.steps import ONE, Assign, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
+from taciturn.program.missing import complete, held_samples, known_of, sensed_by
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
-from taciturn.program.translation import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
+from taciturn.program.translation import (
+    APPLIED,
+    Operands,
+    TimeStep,
+    encode_payloads,
+    first_input,
+    link_state,
+    sample_state,
+)
 
 _FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
-MEASURED, _COMMAND, TOLD = "measured", "command", "the applied input is known"
+_COMMAND, TOLD = "command", "the applied input is known"
 
 
 def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
@@ -98,24 +106,21 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
     tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)}, begin=begin)
     tick.draw_losses(policy, network)
     p, outputs = plant.sensed, plant.outputs
-    y, given = tick.supplied("y", p), tick.supplied(REFERENCE, outputs - p)
-    predicted = predicted_outputs(policy)
+    y, known = [*tick.supplied("y", p), *tick.supplied(REFERENCE, outputs - p)], dict[str, Sequence[Truth]]()
     if isinstance(tick, Informed):
         tick.correct({copy.signal for copy in copies_of_inputs(policy)})
-    if isinstance(tick, Informed) and predicted is not None:
-        y = tick.completed(y, tick.combine(predicted, outputs)[:p])
-    measure(tick, policy, [*y, *given])
+        known = tick.informed(policy)
+    measure(tick, policy, y, known)
     return tick
 
 
 class Informed(TimeStep):
     """A time step for real plants: measurements may be missing, and the applied inputs and fates of packets given."""
 
-    # Inputs of the program besides those of ``translate_policy``: for each output ``measured``, 1 or 0, if a filter
-    # predicts the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is
-    # drawn; ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into
-    # which a copy enters its ``change_of``. These are inputs, because a memory may be merged with another one or be
-    # left out.
+    # Inputs of the program besides those of ``translate_policy``: for each measured signal ``known_of``, 1 or 0 for an
+    # entry; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if it is drawn; ``TOLD``,
+    # 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy enters
+    # its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
 
     def correct(self, signals: Iterable[str]) -> None:
         """Correct the memories that depend on the nodes' copies of the input, if the plant received another input."""
@@ -133,10 +138,12 @@ class Informed(TimeStep):
         told, dropped = b.greater(fate, 0.0), b.greater(0.0, fate)
         return b.both(b.negated(dropped), b.either(super().arrives(link, sent), b.both(sent, told)))
 
-    def completed(self, y: Operands, predicted: Operands) -> Operands:
-        """Return the plant's outputs. Missing measurements are replaced by predicted values."""
-        known = [self.builder.greater(flag, 0.0) for flag in self.supplied(MEASURED, len(y))]
-        return [self.builder.choose(*one) for one in zip(known, y, predicted, strict=True)]
+    def informed(self, policy: Policy) -> dict[str, Sequence[Truth]]:
+        """Return which entries of each measured signal are known."""
+        return {
+            signal: [self.builder.greater(flag, 0.0) for flag in self.supplied(known_of(signal), len(outputs))]
+            for signal, (_, outputs) in sensed_by(policy).items()
+        }
 
 
 def change_of(signal: str) -> str:
@@ -147,27 +154,6 @@ def change_of(signal: str) -> str:
 def fate_of(link: str) -> str:
     """Return the name of the program input that states whether a packet on a link arrives or is dropped."""
     return f"fate of a packet on {link}"
-
-
-def predicted_outputs(policy: Policy) -> Terms | None:
-    """Return the filter's prediction of the outputs one step ahead as a sum of signals; None without a filter."""
-    innovations, model = policy.theory.innovations, policy.model
-    if innovations is not None and innovations.signal is None:
-        return innovations.predicted
-    name = INNOVATION if innovations is None else innovations.signal
-    found = [step for step in policy.steps if isinstance(step, Assign) and step.signal == name and step.on is None]
-    if not found:
-        return None
-    places = {signal: outputs for signal, (_, outputs) in policy.measured.items()} | {"y": range(model.sensed)}
-    measured, predicted = np.zeros((model.outputs, model.outputs)), dict[str, Array]()
-    for signal, weight in found[0].branches[0].items():
-        if isinstance(weight, Scheduled):
-            return None
-        if signal in places:
-            measured[:, [*places[signal]]] += weight
-        else:
-            predicted[signal] = -weight
-    return predicted if np.array_equal(measured, np.eye(model.outputs)) else None
 
 
 def translate_command(policy: Policy, network: Network) -> Program | None:
@@ -192,10 +178,22 @@ def _commands(policy: Policy) -> Mapping[str, Sequence[int]]:
     return {name: rows for name, rows in found.items() if name in policy.sizes}
 
 
-def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:
-    """Assign the plant's outputs ``y`` to the signals that the nodes measure."""
+def measure(
+    tick: TimeStep, policy: Policy, y: Operands, known: Mapping[str, Sequence[Truth]] | None = None
+) -> Operands:
+    """Assign the plant's outputs ``y`` to the signals that the nodes measure, and return the outputs that nodes use.
+
+    Entries of signals in ``known`` may be missing, and are then replaced.
+    """
+    used = [*y]
     for signal, (_, outputs) in policy.measured.items():
-        tick.signals[signal] = [y[index] for index in outputs]
+        values = [y[index] for index in outputs]
+        tick.signals[signal] = values
+        if known and signal in known:
+            complete(tick, policy, signal, values, known[signal])
+        for index, value in zip(outputs, tick.signals[signal], strict=True):
+            used[index] = value
+    return used
 
 
 def begin_time_step(
@@ -211,8 +209,10 @@ def begin_time_step(
     held = [link_state(link) for link in network.links]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
-    sizes = {**policy.sizes, **sizes, **dict.fromkeys(held, 1)}
-    initial = {**policy.initial, **initial, **{name: name for name in held}}
+    samples = held_samples(policy)
+    held += [sample_state(node) for node in network.missing]
+    sizes = {**policy.sizes, **sizes, **dict.fromkeys(held, 1), **{name: len(one) for name, one in samples.items()}}
+    initial = {**policy.initial, **initial, **{name: name for name in held}, **samples}
     return begin(Builder(precision), sizes, initial, policy.locations, told)
 
 

@@ -70,6 +70,8 @@ def c_literal(value: float, precision: Precision) -> str:
     """Write a number as a decimal literal of C99 and C++11, with enough digits to restore its exact value."""
     if precision == "float32":
         value = float(np.float32(value))
+    if np.isnan(value):
+        return f"({REAL})NAN"
     if np.isinf(value):
         return f"{'-' if value < 0 else ''}({REAL})INFINITY"
     text = f"{value:.{_DIGITS[precision]}g}"

@@ -10,7 +10,8 @@ steps read a packet before it is sent or all after it, and no two places wait fo
 
 ``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
 
-    inputs:  measurement | step counters | for each link: arrived, payload | acknowledgements | set-points | draws
+    inputs:  measurement | 1 for each entry, or 0 if it is missing | step counters | for each link: arrived, payload
+             | acknowledgements | set-points | draws
     outputs: for each link: sent, payload | input of the plant | values of the options of triggers
 """
 
@@ -41,6 +42,7 @@ from taciturn.model.steps import (
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
+from taciturn.program.missing import complete, held_samples, known_of, sensed_by
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
 from taciturn.program.translation import APPLIED, Operands, Payloads, TimeStep, encode_payloads, first_input
 
@@ -82,6 +84,8 @@ def translate_node(
     walked = list[_Part]()
     for part in _parts(policy, site, own, applied.keys()):
         walked.append(_Part(policy, payloads, walked[0].drawn if walked else 0, precision))
+        if len(walked) == 1:
+            walked[0].measure(policy, site)
         for step in part:
             walked[-1].take(step)
     limits, first = policy.model.saturation, walked[0]
@@ -177,12 +181,22 @@ class _Part(TimeStep):
         counts |= {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
         start = first_input(policy, policy.model)
         initial = {_applied(signal): start[[*inputs]] for signal, (_, inputs) in policy.applied.items()}
-        initial |= policy.initial
+        held = held_samples(policy)
+        counts |= {name: len(one) for name, one in held.items()}
+        initial |= {**policy.initial, **held}
         super().__init__(Builder(precision), {**policy.sizes, **counts}, initial, policy.locations, payloads)
         self.drawn = drawn
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
-        self._link, self._measured = "", policy.measured
+        self._link = ""
+
+    def measure(self, policy: Policy, site: frozenset[str]) -> None:
+        """Assign the signals that the site measures; a later part of the step reads them as memories."""
+        for signal, (node, outputs) in sensed_by(policy).items():
+            if node in site:
+                flags = self.supplied(known_of(signal), len(outputs))
+                values = self.supplied(signal, len(outputs))
+                complete(self, policy, signal, values, [self._true(flag) for flag in flags])
 
     def take(self, step: Step) -> None:
         on = condition_of(step)
@@ -196,7 +210,7 @@ class _Part(TimeStep):
         return self.supplied(name, self.sizes[name], link=self._link)
 
     def recall(self, name: str) -> Operands:
-        if name in self._measured and name not in self.signals:
+        if name == REFERENCE and name not in self.signals:
             self.signals[name] = self.supplied(name, self.sizes[name])
         return super().recall(name)
 
@@ -315,7 +329,7 @@ class Layout:
     """
 
     inputs: tuple[Name, ...]  # names of all inputs: measurement, step counters, packets, and random numbers
-    measured: int  # number of entries of the measurement; 0 without a sensor
+    measured: int  # number of entries of the measurement, after which as many flags follow; 0 without a sensor
     wiring: tuple[tuple[int, ...], ...]  # for each part of the step, the positions of its inputs among all inputs
     clocks: int  # position of the first step counter among the inputs
     drawn: slice  # positions of the random numbers among the inputs
@@ -330,10 +344,9 @@ class Layout:
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     """Compute the positions of all inputs and outputs of a node's program."""
     sizes, arrivals = policy.sizes, list[Arrival]()
-    sensed = {signal: node for signal, (node, _) in policy.measured.items() if signal != REFERENCE}
-    measured = [signal for signal, node in sensed.items() if node in program.site]
-    others = [signal for signal in sensed if signal not in measured]  # unused, in the places of saved states
-    names: list[Name] = [Entry(signal, i) for signal in (*measured, *others) for i in range(sizes[signal])]
+    measured = [signal for signal, (node, _) in sensed_by(policy).items() if node in program.site]
+    names: list[Name] = [Entry(signal, i) for signal in measured for i in range(sizes[signal])]
+    names += [Entry(known_of(signal), i) for signal in measured for i in range(sizes[signal])]
     clocks = len(names)
     names += [StepCounter(place.name) for place in program.clocks]
     for link, signals in program.hears.items():

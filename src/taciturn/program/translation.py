@@ -23,6 +23,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.model.coverage import INTERVALS, NETWORKS, STEPS, TRACKING, Coverage
+from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
@@ -83,6 +84,7 @@ class TimeStep:
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
         self.arrived: dict[str, Truth] = {}
         self.sent: dict[str, Truth] = {}
+        self.measured: dict[str, Truth] = {}  # whether samples that may be missing are known, by measured signal
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
         self.scalars: dict[Scalar, int] = {}  # scalar signals that a decision reads
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
@@ -135,17 +137,31 @@ class TimeStep:
     def draw_losses(self, policy: Policy, network: Network) -> None:
         """Set the loss probability of each link. On a link with bursty losses, it depends on the channel state."""
         for link in network.links:
-            burst, b = network.burst(link), self.builder
+            burst = network.burst(link)
             self.losses[link] = network.loss(link)
             if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
-                # a memory holds the state of the link, which selects the loss and the probabilities of the next state
-                (state,) = self.read(link_state(link))
-                self.losses[link] = b.lookup(burst.losses.tolist(), state)
-                after, chance = state, self.uniform()
-                for limits, nexts in reversed(burst.branches()):
-                    moved = b.emit("greater", b.value(b.lookup(limits, state)), chance)
-                    after = b.choose(moved, b.value(b.lookup(nexts, state)), after)
-                self.signals[link_state(link)] = [after]
+                self.losses[link] = self.loss_by(burst, link_state(link))
+
+    def loss_by(self, law: LossLaw | float, name: str) -> Coefficient:
+        """Return the loss probability in this step. A memory with the given name holds the state of a bursty law."""
+        if not isinstance(law, LossLaw):
+            return law
+        # the state selects the loss and the probabilities of the next state
+        b, (state,) = self.builder, self.read(name)
+        loss = b.lookup(law.losses.tolist(), state)
+        after, chance = state, self.uniform()
+        for limits, nexts in reversed(law.branches()):
+            moved = b.emit("greater", b.value(b.lookup(limits, state)), chance)
+            after = b.choose(moved, b.value(b.lookup(nexts, state)), after)
+        self.signals[name] = [after]
+        return loss
+
+    def draw_samples(self, network: Network) -> dict[str, Truth]:
+        """Draw which nodes have a sample in this step, of the nodes whose samples may be missing."""
+        return {
+            node: self.builder.greater(self.uniform(), self.loss_by(law, sample_state(node)))
+            for node, law in network.missing.items()
+        }
 
     def take(self, step: Step) -> None:
         """Translate one policy step to operations of the program."""
@@ -335,6 +351,10 @@ class TimeStep:
                 sent = self._none(truth for label, truth in truths.items() if label not in sending)
             else:
                 sent = self.builder.negated(self._none(truths[label] for label in truths if label in sending))
+        elif step.payload and all(
+            name in self.measured for name in step.payload
+        ):  # there is nothing to send without a sample
+            sent = self.builder.negated(self._none(self.measured[name] for name in step.payload))
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
@@ -360,6 +380,11 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
 def link_state(link: str) -> str:
     """Return the name of the memory for the channel state of a link with bursty losses."""
     return f"state of the {link} link"
+
+
+def sample_state(node: str) -> str:
+    """Return the name of the memory for the state of a law by which the samples of a node are missing in bursts."""
+    return f"state of the samples of {node}"
 
 
 def _arrival(link: str) -> str:

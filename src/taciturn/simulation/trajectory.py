@@ -46,6 +46,7 @@ from taciturn.model.trigger import Trigger
 from taciturn.program.draws import NORMAL, UNIFORM, draws_of
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
+from taciturn.program.missing import SAMPLED
 from taciturn.program.numpy import Run
 from taciturn.program.ops import Name, Option, Scalar, Sent, is_entry
 from taciturn.simulation.same_packets import periodic_control
@@ -88,7 +89,8 @@ class Trajectory(Tabular):
             they do; in a figure, a trigger is (trigger + allowance)/(threshold + allowance).
         sends: whether a packet was sent at each step, by link, (steps,).
         delivered: whether a packet was sent and the link delivered it, by link, (steps,).
-        measurement: measurement y, (steps, p).
+        measurement: measurement y, (steps, p); where it is missing, the value that its node uses in its place.
+        missing: whether each output is missing at each step, (steps, p); empty if none can be missing.
         reference: target of the state by a stored reference, (steps, n); empty without a reference.
         cost: cost of this path: per step or second, or over a horizon the cost so far; a single path may differ much
             from the mean, which ``evaluate`` computes.
@@ -101,7 +103,8 @@ class Trajectory(Tabular):
     FIELDS: ClassVar[tuple[Field[Trajectory], ...]] = (
         VERDICT,
         Field("ticks", lambda found: len(found.time)),
-        *plain_fields("time", "unit", "state", "estimate", "input", "predicts", "measurement"),
+        *plain_fields("time", "unit", "state", "estimate", "input", "predicts"),
+        Field("measurement", lambda found: found.measured),
         *plain_fields("trigger_value", "threshold", "sends", "delivered", "triggers", "thresholds"),
         *plain_fields("allowances", "cost"),
         Field("predicted", key="", say="xhat", text=lambda found: PREDICTED if found.predicts else ""),
@@ -122,12 +125,21 @@ class Trajectory(Tabular):
     sends: Mapping[str, Bits]
     delivered: Mapping[str, Bits]
     measurement: Array
+    missing: Bits
     reference: Array
     cost: float
     loop: Loop
     predicts: bool = False
     name: str = ""
     versus: Trajectory | None = None
+
+    @property
+    def measured(self) -> Sequence[Sequence[float | None]]:
+        """The measurements of each step, with None in place of those that are missing."""
+        rows: list[list[float | None]] = self.measurement.tolist()
+        for k, i in np.argwhere(self.missing).tolist():
+            rows[k][i] = None
+        return rows
 
     @property
     def trigger_value(self) -> Array:
@@ -223,6 +235,7 @@ class Trajectory(Tabular):
         columns: dict[str, Column] = {"time": self.time}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input), ("y", self.measurement)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
+        columns |= {f"missing{i + 1}": column for i, column in enumerate(self.missing.T)}
         if self.trigger_value.size:
             columns |= {"trigger": self.trigger_value, "threshold": self.threshold}
         if len(self.triggers) > 1:
@@ -634,6 +647,7 @@ def _path(loop: Loop, steps: int, seed: int, uniforms: int = 0) -> Trajectory:
         sends={key.link: values > 0 for key, values in records.items() if isinstance(key, Sent)},
         delivered={key.link: values > 0 for key, values in records.items() if isinstance(key, Received)},
         measurement=measured,
+        missing=stacked(SAMPLED) == 0.0,
         reference=stacked(loop.policy.targets.get("x", "")),
         cost=_cost_of(loop, program, found, steps),
         loop=loop,

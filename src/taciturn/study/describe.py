@@ -33,6 +33,7 @@ from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
 from taciturn.model.estimate import Estimate, rounded
 from taciturn.model.load import Load
+from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
 from taciturn.model.policy import Policy
@@ -299,6 +300,9 @@ def _network_document(network: Network) -> dict[str, Any]:
         "losses": {link: network.loss(link) for link in network.links},
         "nodes": {name: vars(role) for name, role in network.nodes.items()},
         "links": {link: asdict(law) for link, law in network.links.items()},
+        "missing": {
+            node: asdict(cast("Any", law)) if isinstance(law, LossLaw) else law for node, law in network.missing.items()
+        },
     }
 
 

@@ -459,6 +459,8 @@ def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
     if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None or problem.plant.loads:
         return None
+    if problem.network.missing:
+        return None
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:
         plain = _without_disturbance(kept)

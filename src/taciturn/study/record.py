@@ -46,7 +46,8 @@ if TYPE_CHECKING:
 STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
-LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neutral values that digests do not contain
+# neutral values that digests do not contain
+LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1, "missing": {}}
 
 
 def encode(value: object) -> str:
@@ -84,7 +85,7 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    return found | {KIND: "Network"}, [one for one in (paid, limits) if one]
+    return found | {KIND: "Network"}, [one for one in (paid, limits, dict(network.missing)) if one]
 
 
 def origin(

@@ -285,8 +285,10 @@ def _is_line(line: object, policy: Policy, designed: str) -> bool:
         return False
     rows: list[object] = [
         *cast("dict[str, object]", memory).values(),
-        *(one[name] for name in ("y", "u") if name in one),
+        *(one[name] for name in ("u",) if name in one),
     ]
+    y: object = one.get("y", [])
+    rows.append([value for value in cast("list[object]", y) if value is not None] if isinstance(y, list) else y)
     return all(isinstance(row, list) and all(map(_is_number, cast("list[object]", row))) for row in rows)
 
 
@@ -418,7 +420,7 @@ def _path(
             )
     y, u = _signals(policy, lines, times, "y"), _signals(policy, lines, times, "u")
     if y is None or u is None:
-        return None, ("no path with every sample: the log of a node that measures or applies is missing",)
+        return None, ("no path with every sample: a sample, or the log of a node that measures or applies, is missing",)
     errors = _errors(policy, deciding)
     if errors is None:
         return None, ("no path with every sample: the response of a node does not determine its errors",)
@@ -468,7 +470,7 @@ def _signals(policy: Policy, lines: Sequence[list[Line]], times: Array, name: st
             continue
         for k, tick in enumerate(times.tolist()):
             if len(rows.get(tick, ())) == len(entries):
-                found[k, entries] = rows[tick]
+                found[k, entries] = [np.nan if value is None else value for value in rows[tick]]
     return None if np.isnan(found).any() else found
 
 

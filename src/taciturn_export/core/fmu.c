@@ -1,6 +1,7 @@
 /* Functions of a functional mock-up unit that are common to all versions of FMI. */
 #include "fmu.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -70,6 +71,11 @@ static bool is_of_link(uint32_t reference, uint32_t first) {
   return reference >= first && reference - first < (uint32_t)TAC_LINKS && fmu_links[reference - first];
 }
 
+/* Return whether a reference is that of the input which states that a measurement is missing. */
+static bool is_sample(uint32_t reference) {
+  return reference >= FMU_MISSING && reference - FMU_MISSING < (uint32_t)FMU_SENSED;
+}
+
 const char *fmu_get_number(fmu_unit *unit, uint32_t reference, double *value) {
   const fmu_state *state = &unit->state;
   if (reference == FMU_TIME) {
@@ -98,6 +104,8 @@ const char *fmu_get_truth(fmu_unit *unit, uint32_t reference, bool *value) {
   const fmu_state *state = &unit->state;
   if (fmu_lossy && is_of_link(reference, FMU_LOST)) {
     *value = state->lost[reference - FMU_LOST];
+  } else if (is_sample(reference)) {
+    *value = state->missing[reference - FMU_MISSING];
   } else if (is_of_link(reference, FMU_SENT)) {
     *value = state->sent[reference - FMU_SENT];
   } else if (reference == FMU_DEGRADED) {
@@ -109,10 +117,13 @@ const char *fmu_get_truth(fmu_unit *unit, uint32_t reference, bool *value) {
 }
 
 const char *fmu_set_truth(fmu_unit *unit, uint32_t reference, bool value) {
-  if (!fmu_lossy || !is_of_link(reference, FMU_LOST)) {
+  if (fmu_lossy && is_of_link(reference, FMU_LOST)) {
+    unit->state.lost[reference - FMU_LOST] = value;
+  } else if (is_sample(reference)) {
+    unit->state.missing[reference - FMU_MISSING] = value;
+  } else {
     return refuse_variable(unit, "truth value that can be set", reference);
   }
-  unit->state.lost[reference - FMU_LOST] = value;
   return NULL;
 }
 
@@ -141,7 +152,7 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
     return unit->sentence;
   }
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
-    if (!(magnitude(state->measured[i]) <= LARGEST)) {
+    if (!state->missing[i] && !(magnitude(state->measured[i]) <= LARGEST)) {
       bool given = i >= (unsigned)FMU_SENSED;
       (void)snprintf(unit->sentence, sizeof unit->sentence, "%s[%u] is %g; expected a finite number up to %g",
                      given ? "setpoint" : "y", i + 1U - (given ? (unsigned)FMU_SENSED : 0U), state->measured[i],
@@ -161,7 +172,7 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
     return refusal;
   }
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
-    measured[i] = (tac_real)state->measured[fmu_outputs[i]];
+    measured[i] = state->missing[fmu_outputs[i]] ? (tac_real)NAN : (tac_real)state->measured[fmu_outputs[i]];
   }
   if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, state->sent) <
       state->exchange.count) {

@@ -15,6 +15,7 @@ typedef struct {
   fmu_memory memory; /* memory of the nodes */
   tac_exchange exchange;
   double measured[FMU_MEASURED];
+  bool missing[FMU_MEASURED]; /* whether a measurement of the next step is missing */
   double applied[FMU_APPLIED];
   bool lost[TAC_LINKS]; /* whether a packet sent in the next step is dropped */
   bool sent[TAC_LINKS]; /* whether a packet was sent in the last step */

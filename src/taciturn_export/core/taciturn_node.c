@@ -3,12 +3,6 @@
 
 #include "taciturn_parts.h"
 
-#if TAC_FLOAT32
-#define EXPONENT UINT32_C(0x7F800000)
-#else
-#define EXPONENT UINT64_C(0x7FF0000000000000)
-#endif
-
 enum { CAUGHT_UP = 10000 }; /* largest number of missed steps that are executed later */
 #define NEVER UINT32_MAX
 
@@ -115,7 +109,7 @@ static void copy(tac_real *to, const tac_real *from, unsigned count) {
 static bool are_finite(const tac_real *numbers, unsigned count) {
   bool found = true;
   for (unsigned i = 0U; found && i < count; i++) {
-    found = (tac_bits(numbers[i]) & EXPONENT) != EXPONENT;
+    found = (tac_bits(numbers[i]) & TAC_EXPONENT) != TAC_EXPONENT;
   }
   return found;
 }
@@ -168,6 +162,27 @@ static void put_outputs(tac_node *node) {
   }
 }
 
+/* Return whether an entry of a measurement is missing: it is NaN, or there is no measurement. */
+static bool is_missing(const tac_real *measurement, unsigned i) {
+  return measurement == NULL || tac_is_nan(measurement[i]);
+}
+
+/* Copy the measurement to the inputs of the step, with 0 in place of missing entries, and state which are measured. */
+static void measure(tac_node *node, const tac_real *measurement) {
+  unsigned count = node->data->measurement_count;
+  bool some = false;
+  for (unsigned i = 0U; i < count; i++) {
+    bool absent = is_missing(measurement, i);
+    node->inputs[i] = absent ? (tac_real)0 : measurement[i];
+    node->inputs[count + i] = absent ? (tac_real)0 : (tac_real)1;
+    some = some || absent;
+  }
+  if (some) {
+    node->counters.missing++;
+    tac_degrade(node, tac_count_ticks(node));
+  }
+}
+
 /* Finish the previous step, and execute this step up to its outputs. */
 static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
   const tac_node_data *data = node->data;
@@ -179,7 +194,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   node->tick = tick;
   node->begun = true;
   mind_silence(node);
-  copy(node->inputs, measurement, data->measurement_count);
+  measure(node, measurement);
   collect_all(node, 0U, tick);
   if (data->draw != NULL) {
     data->draw(node->generator, &node->inputs[data->drawn_at]);
@@ -223,8 +238,13 @@ static bool make_up(tac_node *node, uint64_t tick) {
   return count == behind;
 }
 
+/* Return whether packets could carry all entries of a measurement that are not missing. */
 static bool is_measurement(const tac_node_data *data, const tac_real *measurement) {
-  return data->measurement_count == 0U || (measurement != NULL && tac_fits(measurement, data->measurement_count));
+  bool found = true;
+  for (unsigned i = 0U; found && i < data->measurement_count; i++) {
+    found = is_missing(measurement, i) || tac_fits(&measurement[i], 1U);
+  }
+  return found;
 }
 
 unsigned tac_set_points(const tac_node_data *data) {

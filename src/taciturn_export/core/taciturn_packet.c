@@ -29,6 +29,10 @@ bool tac_fits(const tac_real *numbers, unsigned count) {
   return found;
 }
 
+bool tac_is_nan(tac_real value) {
+  return (tac_word)(tac_bits(value) << 1U) > (tac_word)(TAC_EXPONENT << 1U);
+}
+
 void tac_put(uint8_t *to, uint64_t value, unsigned bytes) {
   for (unsigned i = 0U; i < bytes; i++) {
     unsigned shift = 8U * (bytes - 1U - i);
@@ -112,9 +116,14 @@ static void put_steps(uint8_t *to, tac_real value, tac_real per_unit) {
   tac_put(to, (uint16_t)(int32_t)steps, 2U);
 }
 
+/* Return whether a payload carries a number. */
+static bool is_carried(const tac_shape *shape, const tac_real *value) {
+  return tac_fits(value, 1U) || (shape->samples && tac_is_nan(*value));
+}
+
 /* Write an entry of a payload. Return false if the number cannot be represented. */
 static bool put_entry(uint8_t *to, const tac_shape *shape, unsigned entry, tac_real value) {
-  bool written = tac_fits(&value, 1U);
+  bool written = is_carried(shape, &value);
   if (!written) {
     return false;
   }
@@ -257,7 +266,7 @@ static bool read_nonce(const tac_wire *wire, const uint8_t *datagram, size_t siz
 static bool read_values(const tac_shape *shape, const uint8_t *payload, tac_packet *packet) {
   for (unsigned i = 0U; i < shape->entries; i++) {
     packet->values[i] = get_entry(&payload[(size_t)i * width(shape->encoding)], shape, i);
-    if (!tac_fits(&packet->values[i], 1U)) {
+    if (!is_carried(shape, &packet->values[i])) {
       return false;
     }
   }

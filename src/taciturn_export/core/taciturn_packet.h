@@ -68,6 +68,7 @@ typedef struct {
   uint8_t entries;
   const tac_real *per_unit;
   const tac_real *per_step;
+  bool samples; /* whether NaN stands for an entry that is missing: the measurements of a plant */
 } tac_shape;
 
 /* The packet formats of a policy. */
@@ -85,7 +86,7 @@ typedef struct {
 } tac_key;
 
 /* Encode a packet as a datagram of at most TAC_DATAGRAM bytes, and return its size. Return 0 if the policy has no such
- * packet, or if a value exceeds FLT_MAX, the largest number of all payloads. */
+ * packet, or if a value exceeds FLT_MAX, the largest number of all payloads, or is NaN but no missing sample. */
 size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, uint8_t *datagram);
 
 /* Decode a datagram. If the result is not TAC_OK, it is the reason for the rejection, and `packet` is not valid. */

@@ -11,6 +11,7 @@
 #define tac_checksum TAC_SIZED(tac_checksum)
 #define tac_bits TAC_SIZED(tac_bits)
 #define tac_fits TAC_SIZED(tac_fits)
+#define tac_is_nan TAC_SIZED(tac_is_nan)
 #define tac_collect TAC_SIZED(tac_collect)
 #define tac_write_tag TAC_SIZED(tac_write_tag)
 #define tac_forget TAC_SIZED(tac_forget)
@@ -28,8 +29,10 @@ extern "C" {
 
 #if TAC_FLOAT32
 typedef uint32_t tac_word; /* the bits of a number */
+#define TAC_EXPONENT UINT32_C(0x7F800000)
 #else
 typedef uint64_t tac_word;
+#define TAC_EXPONENT UINT64_C(0x7FF0000000000000)
 #endif
 
 /* Write the last `bytes` bytes of a value, big-endian. */
@@ -70,6 +73,9 @@ uint8_t tac_set_point_count(const tac_node_data *data);
 
 /* Return whether all payloads carry the numbers: none is larger than FLT_MAX, or no number. */
 bool tac_fits(const tac_real *numbers, unsigned count);
+
+/* Return whether a number is NaN, from its bits without the sign, whatever the compiler assumes of numbers. */
+bool tac_is_nan(tac_real value);
 
 /* Return the bits of a number. */
 tac_word tac_bits(tac_real value);

@@ -24,6 +24,7 @@ static void add_wire(uint32_t *sum, const tac_wire *wire) {
     add(sum, shape->link, 1U);
     add(sum, shape->encoding, 1U);
     add(sum, shape->entries, 1U);
+    add(sum, shape->samples ? 1U : 0U, 1U);
     add_reals(sum, shape->per_unit, shape->entries);
     add_reals(sum, shape->per_step, shape->entries);
   }
