@@ -126,7 +126,7 @@ class Loop(Displayed):
         precision: precision of the simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as fast.
         counted: the same loop in deviations from the operating point, if this loop is in the units of the plant.
         limits: limits of the states, for figures; they do not affect the loop.
-        names: names of outputs and inputs, for figures.
+        names: names of states, inputs and outputs, for tables and figures.
         settings: parameters of the policy and the ``file`` of the problem as text, by which a title tells two loops
             apart.
 
@@ -491,7 +491,7 @@ def close(
         )
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
-    assumed = policy.disturbance
+    assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used
     without = policy.model.stated - policy.model.set_points - policy.model.inputs
     if assumed is not None and plant.states == without:
@@ -519,5 +519,5 @@ def close(
             "expected a horizon as long as the reference"
         )
     missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
-    loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing))
+    loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing), names=stated)
     return loop.in_units if network.rounded else loop  # the rounding depends on the units

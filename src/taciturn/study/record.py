@@ -46,7 +46,11 @@ if TYPE_CHECKING:
 STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
-LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neutral values that digests do not contain
+LATER: Mapping[str, object] = {
+    **dict.fromkeys(NONE),
+    "min_interval": 1,
+    "quantities": [],
+}  # neutral values that digests do not contain
 
 
 def encode(value: object) -> str:
