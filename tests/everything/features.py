@@ -628,12 +628,37 @@ def state_limits(draft: Draft) -> None:
     draft.tables["limits"] = found
 
 
-# -- names of signals
+# -- names of signals, and noise by amplitude
 
 
 def names(draft: Draft) -> None:
-    """Name the inputs, for figures."""
+    """Name the inputs, in the older table."""
     draft.tables["names"] = {"inputs": [f"force {i} (N)" for i in range(len(draft.plant["B"][0]))]}
+
+
+def named_signals(draft: Draft) -> None:
+    """Name all signals of the plant, with units of some."""
+    draft.plant["state_names"] = [f"state-{i}" for i in range(draft.states)]
+    draft.plant["input_names"] = [f"force {i}" for i in range(draft.inputs)]
+    draft.plant["output_names"] = [f"level {i}" for i in range(draft.outputs)]
+    draft.plant["units"] = {"states": ["m"] * draft.states, "inputs": ["N"] * draft.inputs}
+
+
+def noise_at(*places: str) -> Callable[[Draft], None]:
+    """State the noise at the inputs, or at the outputs, by amplitude."""
+
+    def add(draft: Draft) -> None:
+        need(draft, *("W" if place == "input" else "V" for place in places))
+        sizes = {"input": draft.inputs, "output": draft.outputs}
+        for plant in (draft.plant, draft.plant["actual"]) if "actual" in draft.plant else (draft.plant,):
+            for place in places:
+                plant.pop("W" if place == "input" else "V", None)
+                noise = plant.setdefault("noise", {})
+                noise[place] = rows(draft.rng.uniform(0.2, 0.5, sizes[place]))
+            if "W" not in plant and "input" not in plant["noise"] and "jumps" not in plant:
+                raise Elsewhere
+
+    return add
 
 
 # -- kinds and their options
@@ -872,7 +897,11 @@ def features() -> list[Feature]:
         "longest silence": ("longest", option(longest=6.0)),
         "violations": ("violations", state_limits),
         "names": ("names", names),
+        "named signals": ("names", named_signals),
         "descriptor": ("descriptor", descriptor),
+        "noise at the inputs": ("amplitudes", noise_at("input")),
+        "noise at the outputs": ("amplitudes", noise_at("output")),
+        "noise at inputs and outputs": ("amplitudes", noise_at("input", "output")),
     }
     ordered = [plants, signals, networks, points, costs, controllers]
     found = [Feature(name, group, add) for table in ordered for name, (group, add) in table.items()]
