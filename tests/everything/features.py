@@ -15,6 +15,7 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from everything.amplitudes import named_signals, names, noise_at
 from everything.draft import Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
 
 from taciturn.design.catalogue import CATALOGUE, own_kinds
@@ -626,39 +627,6 @@ def state_limits(draft: Draft) -> None:
     found: Tables = {"high": [round(high, 3)], "outputs": [draft.plant["C"][0] if "C" in draft.plant else
                                                            [1.0] + [0.0] * (draft.states - 1)]}  # fmt: skip
     draft.tables["limits"] = found
-
-
-# -- names of signals, and noise by amplitude
-
-
-def names(draft: Draft) -> None:
-    """Name the inputs, in the older table."""
-    draft.tables["names"] = {"inputs": [f"force {i} (N)" for i in range(len(draft.plant["B"][0]))]}
-
-
-def named_signals(draft: Draft) -> None:
-    """Name all signals of the plant, with units of some."""
-    draft.plant["state_names"] = [f"state-{i}" for i in range(draft.states)]
-    draft.plant["input_names"] = [f"force {i}" for i in range(draft.inputs)]
-    draft.plant["output_names"] = [f"level {i}" for i in range(draft.outputs)]
-    draft.plant["units"] = {"states": ["m"] * draft.states, "inputs": ["N"] * draft.inputs}
-
-
-def noise_at(*places: str) -> Callable[[Draft], None]:
-    """State the noise at the inputs, or at the outputs, by amplitude."""
-
-    def add(draft: Draft) -> None:
-        need(draft, *("W" if place == "input" else "V" for place in places))
-        sizes = {"input": draft.inputs, "output": draft.outputs}
-        for plant in (draft.plant, draft.plant["actual"]) if "actual" in draft.plant else (draft.plant,):
-            for place in places:
-                plant.pop("W" if place == "input" else "V", None)
-                noise = plant.setdefault("noise", {})
-                noise[place] = rows(draft.rng.uniform(0.2, 0.5, sizes[place]))
-            if "W" not in plant and "input" not in plant["noise"] and "jumps" not in plant:
-                raise Elsewhere
-
-    return add
 
 
 # -- kinds and their options

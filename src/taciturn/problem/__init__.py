@@ -144,13 +144,13 @@ class Problem(Displayed):
     def _share_names(self) -> None:
         """Give the names of the signals to the plant, or take those of the plant."""
         if self.names is not None:
-            if self.plant.names is not None and self.plant.names != self.names:
+            named = copy(self.plant)
+            set_names(named, self.names)
+            if self.plant.names is not None and self.plant.names != named.names:
                 raise ProblemError(
                     "names are given, and the plant has other names; expected the names in one of the two: "
                     "names=None, or a plant without names"
                 )
-            named = copy(self.plant)
-            set_names(named, self.names)
             object.__setattr__(self, "plant", named)
         object.__setattr__(self, "names", self.plant.names)
 
