@@ -37,7 +37,18 @@ from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_st
 from taciturn.lqg.kalman import resting_states
 from taciturn.lqg.loaded import with_loads
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, LOADS, ROUNDING, SAMPLES, SIMULATED, uncovered
+from taciturn.model.coverage import (
+    BURSTS,
+    DRIFT,
+    FUNCTION,
+    JUMPS,
+    LIMIT,
+    LOADS,
+    ROUNDING,
+    SAMPLES,
+    SIMULATED,
+    uncovered,
+)
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
@@ -110,7 +121,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
 
 
-NAMED = FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES  # differences that have sentences of their own
+# differences that have sentences of their own
+NAMED = FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
@@ -133,7 +145,7 @@ class Loop(Displayed):
         precision: precision of the simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as fast.
         counted: the same loop in deviations from the operating point, if this loop is in the units of the plant.
         limits: limits of the states, for figures; they do not affect the loop.
-        names: names of outputs and inputs, for figures.
+        names: names of states, inputs and outputs, for tables and figures.
         settings: parameters of the policy and the ``file`` of the problem as text, by which a title tells two loops
             apart.
 
@@ -528,7 +540,7 @@ def close(
         )
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
-    assumed = policy.disturbance
+    assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used
     without = policy.model.stated - policy.model.set_points - policy.model.inputs
     if assumed is not None and plant.states == without:
@@ -560,5 +572,5 @@ def close(
     passing = not cost.mission and all(one.signal is not None for one in plant.loads)
     covers = policy.theory.covers | (LOADS if passing else frozenset[str]())
     missing = uncovered(covers, plant, problem.plant, cost, network, policy.parts)
-    loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing))
+    loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing), names=stated)
     return loop.in_units if network.rounded else loop  # the rounding depends on the units

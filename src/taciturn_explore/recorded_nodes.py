@@ -24,7 +24,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Array, number_of, percent
-from taciturn.model.names import Names
+from taciturn.model.names import Names, Role
 from taciturn.model.packets import fingerprint
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
@@ -223,12 +223,14 @@ def _traces(
             places = _places(policy, role, signal, many)
             for k in range(min(many, ENTRIES)):
                 values = _column(nodes[role], signal, k, first, steps)
-                title = f"{signal}{k + 1 if many > 1 else ''}, {verb} by {role}" if signal != "x" else f"state x{k + 1}"
+                given = (problem.names if problem is not None else None) or Names()
+                title = f"{signal}{k + 1 if many > 1 else ''}, {verb} by {role}"
+                if signal == "x":
+                    title = given.labels("states", [f"state x{i + 1}" for i in range(many)])[k]
                 other = None
                 if places is not None and problem is not None:
-                    given = problem.names or Names()
-                    names = given.outputs if signal == "y" else given.inputs
-                    title = names[places[k]] if names else title
+                    stated: Role = "outputs" if signal == "y" else "inputs"
+                    title = given.labels(stated, [title] * (places[k] + 1))[-1]
                     if silence is not None:
                         other = silence.outputs.get(f"{signal}{places[k] + 1}_every_sample")
                 fits = other is not None and len(other) == steps

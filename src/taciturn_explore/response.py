@@ -76,12 +76,12 @@ def periodically(problem: Problem, intervals: Mapping[str, int]) -> Problem:
 
 def output_names(problem: Problem, many: int) -> list[str]:
     """Return the names of the outputs: from the problem file, or from nodes with one output each, or numbers."""
-    return [*(problem.names or Names()).outputs] or _names(problem, "measures", "y", many)
+    return (problem.names or Names()).labels("outputs", _names(problem, "measures", "y", many))
 
 
 def input_names(problem: Problem, many: int) -> list[str]:
     """Return the names of the inputs: from the problem file, or from nodes that apply one input each, or numbers."""
-    return [*(problem.names or Names()).inputs] or _names(problem, "applies", "u", many)
+    return (problem.names or Names()).labels("inputs", _names(problem, "applies", "u", many))
 
 
 def _names(problem: Problem, role: Any, letter: str, many: int) -> list[str]:

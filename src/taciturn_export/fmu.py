@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from importlib.resources import files
 from io import BytesIO
@@ -26,6 +26,7 @@ from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, write_whole
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.names import Names, Role, unit_of
 from taciturn.model.packets import fingerprint, place_of, roles, wire_links
 from taciturn.model.result import VERDICT, Field, Result
 from taciturn.model.steps import Send
@@ -52,6 +53,7 @@ class UnitVariable(Displayed):
     causality: Literal["independent", "input", "output"]  # independent, input or output
     text: str  # description of the variable
     start: float = 0.0  # value of an input before it is set; 0 of a truth value is false
+    unit: str = ""  # unit of the value; empty if it is not known
 
 
 def used_links(loop: Loop) -> tuple[str, ...]:
@@ -94,14 +96,19 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     links, first, model, codes = used_links(loop), references(loop), loop.policy.model, wire_links(loop.policy)
     predicts = loop.policy.prediction is not None  # the input of the plant is then u = L x̂
     applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
+    outputs, inputs, aims = _labels(loop)
     found = [
-        UnitVariable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
-        for i in range(model.sensed)
+        _named(
+            UnitVariable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant"), label
+        )
+        for i, label in enumerate(outputs)
     ]
     found += [
-        UnitVariable(f"setpoint[{i - model.sensed + 1}]", first["y"] + i, "number", "input", "Set-point", start)
-        for i, start in enumerate(starts(loop))
-        if i >= model.sensed
+        _named(
+            UnitVariable(f"setpoint[{i + 1}]", first["y"] + model.sensed + i, "number", "input", "Set-point", start),
+            label,
+        )
+        for i, (start, label) in enumerate(zip(starts(loop)[model.sensed :], aims, strict=True))
     ]
     found += [
         UnitVariable(
@@ -122,8 +129,8 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
             for link in links
         ]  # fmt: skip
     found += [
-        UnitVariable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}")
-        for i in range(model.inputs)
+        _named(UnitVariable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}"), label)
+        for i, label in enumerate(inputs)
     ]
     for link in links:
         found += [
@@ -145,6 +152,24 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     ]  # fmt: skip
     what = "An assumption of the theory of the policy was violated, for example by an unexpected packet loss"
     return (*found, UnitVariable("degraded", first["degraded"], "truth", "output", what))
+
+
+def _labels(loop: Loop) -> tuple[list[str], list[str], list[str]]:
+    """Return the labels of measurements, inputs and set-points, which are empty for signals without names."""
+    model, names = loop.policy.model, loop.names or Names()
+    role: Role = "inputs" if loop.policy.prediction is None else "states"
+    sizes: list[tuple[Role, int]] = [("outputs", model.sensed), (role, model.inputs)]
+    outputs, inputs = (names.labels(which, [""] * size) for which, size in sizes)
+    source, aims = loop.problem.source, [""] * model.set_points
+    if names and source is not None and source.exosystem is not None and len(source.exosystem.outputs) == len(aims):
+        aims = [*names.quantities(source.exosystem.outputs, source.C)]
+    return outputs, inputs, aims
+
+
+def _named(one: UnitVariable, label: str) -> UnitVariable:
+    """Return a variable with the name of its signal in its description, and with its unit."""
+    name, unit = unit_of(label) if not label.startswith("(") else ("", label[1:-1])
+    return replace(one, text=f"{one.text}: {name}" if name else one.text, unit=unit)
 
 
 def _silences(loop: Loop) -> list[tuple[str, str]]:
@@ -177,6 +202,11 @@ def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: 
         listed = Xml.SubElement(unit, "SourceFiles")
         for source in sources:
             Xml.SubElement(listed, "File", {"name": source})
+    units = dict.fromkeys(one.unit for one in variables if one.unit)
+    if units:
+        defined = Xml.SubElement(root, "UnitDefinitions")
+        for one in units:
+            Xml.SubElement(defined, "Unit", {"name": one})
     categories = Xml.SubElement(root, "LogCategories")
     Xml.SubElement(categories, "Category", {"name": "logStatusError", "description": "Reasons why a call was rejected"})
     Xml.SubElement(
@@ -207,7 +237,8 @@ def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Versi
             "name": one.name, "valueReference": str(one.reference), "description": one.text,
             "causality": one.causality, "variability": "discrete",
         }  # fmt: skip
-        start = {"start": "false" if one.kind == "truth" else repr(one.start)} if one.causality == "input" else {}
+        start = {"unit": one.unit} if one.unit else {}
+        start |= {"start": "false" if one.kind == "truth" else repr(one.start)} if one.causality == "input" else {}
         initial = {"initial": "calculated"} if one.causality == "output" else {}
         if version == "3.0":
             Xml.SubElement(listed, _TYPES[one.kind][version], {**said, **initial, **start})

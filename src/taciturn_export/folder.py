@@ -280,7 +280,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int 
     found = [
         print_node(
             policy, role, network, f"{name if not nodes or role in nodes else 'selfcheck'}_{identifier(role)}",
-            precision=precision, seed=seed,
+            precision=precision, seed=seed, names=loop.names,
         )
         for role in known
     ]  # fmt: skip

@@ -21,8 +21,17 @@ from taciturn import __version__
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.names import Names, Role, unit_of
 from taciturn.model.network import Network
-from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, place_of, wire_links
+from taciturn.model.packets import (
+    carries_samples,
+    fingerprint,
+    inputs_at,
+    outputs_at,
+    packet_shapes,
+    place_of,
+    wire_links,
+)
 from taciturn.model.policy import Policy, longest_silence
 from taciturn.model.wire import (
     CODES,
@@ -255,8 +264,12 @@ def print_node(
     *,
     precision: Precision = "float64",
     seed: int = 0,
+    names: Names | None = None,
 ) -> CNode:
-    """Return the C99 sources of a policy's node, which are compiled with the sources of the common core."""
+    """Return the C99 sources of a policy's node, which are compiled with the sources of the common core.
+
+    The header has constants for the places of measurements and inputs with names.
+    """
     EXPORTED.check(policy.parts, policy.designed_for, network)
     program = translate_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
@@ -283,6 +296,7 @@ def print_node(
         inputs=max(1, len(layout.inputs)), memory=max(1, len(program.parts[0].states)),
         outputs=max(1, len(program.parts[0].outputs)), channels=max(1, len(layout.arrivals)),
         sends=max(1, len(layout.departures)), clocks=max(1, len(program.clocks)), applied=max(1, policy.model.inputs),
+        places=_places(policy, role, name, names or Names()),
         sized="".join(_SIZED_SILENCE.format(name=name, links=links) for links in silences),
         told="".join(
             _TOLD_SILENCE.format(name=name, links=links, stops=_STOPS if precision == "float32" else "")
@@ -291,6 +305,30 @@ def print_node(
     )  # fmt: skip
     operations, numbers = sum(p.operations for p in programs), sum(_numbers(p) for p in programs)
     return CNode(role, name, header, source, operations, numbers)
+
+
+def _places(policy: Policy, role: str, name: str, names: Names) -> str:
+    """Return constants for the places of named signals in the arrays of a node."""
+    both: list[tuple[str, Role, list[int]]] = [("y", "outputs", [*outputs_at(policy, role)])]
+    if policy.prediction is None:  # otherwise the node returns the state of its model
+        both.append(("u", "inputs", [*inputs_at(policy, role)]))
+    lines = list[str]()
+    for letter, what, entries in both:
+        usual = [f"{letter}{i + 1}" for i in range(max(entries, default=-1) + 1)]
+        labels = names.labels(what, usual) if getattr(names, what) else []
+        known = [identifier(unit_of(label)[0]).upper() for label in labels]
+        for place, i in enumerate(entries):
+            if i < len(getattr(names, what)):
+                own = known[i] if known.count(known[i]) == 1 else f"{known[i]}_{i + 1}"
+                comment = f"{letter}[{place}]: {_comment(labels[i])}"
+                lines.append(f"#define {name.upper()}_{letter.upper()}_{own} {place}u /* {comment} */")
+    shown = "/* Places of measurements y of tac_step and inputs u of tac_input, counted from 0. */"
+    return "\n".join(["", shown, *lines, ""]) if lines else ""
+
+
+def _comment(text: str) -> str:
+    """Return a text without what could end a comment in C, or the line."""
+    return re.sub(r"[*/\\?]{2,}|\\", "-", text)
 
 
 def name_of_links(links: tuple[str, ...]) -> str:
@@ -406,7 +444,7 @@ _HEADER = """#ifndef {guard}
 #include "taciturn.h"
 
 #define {name}_start TAC_SIZED({name}_start)
-{sized}
+{sized}{places}
 #ifdef __cplusplus
 extern "C" {{
 #endif

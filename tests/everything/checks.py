@@ -283,7 +283,7 @@ def kept_on_every_path(
     if problem.kind != "distributed" or not on_every_path(tables) or problem.nonlinear:
         raise SkippedError("no bound on every path")
     try:
-        tables = plain.without_descriptor(tables)
+        tables = plain.in_plain_form(tables)
         model = resolved(tables, plain.model_of(tables, folder))
         nodes = nodes_of(tables, len(model.C), model.m)
         text = promised(model, *every_path_policy(tables, model, nodes, found.cost_all_time), seed)
@@ -297,7 +297,7 @@ def compare(
     problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int, longer: int
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
-    tables = plain.without_descriptor(tables)
+    tables = plain.in_plain_form(tables)
     model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)

@@ -15,6 +15,7 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from everything.amplitudes import named_signals, names, noise_at
 from everything.disturbances import bias, disturbance, load, stepping_bias
 from everything.draft import STEP, Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
 
@@ -615,14 +616,6 @@ def state_limits(draft: Draft) -> None:
     draft.tables["limits"] = found
 
 
-# -- names of signals
-
-
-def names(draft: Draft) -> None:
-    """Name the inputs, for figures."""
-    draft.tables["names"] = {"inputs": [f"force {i} (N)" for i in range(len(draft.plant["B"][0]))]}
-
-
 # -- kinds and their options
 
 
@@ -865,7 +858,11 @@ def features() -> list[Feature]:
         "longest silence": ("longest", option(longest=6.0)),
         "violations": ("violations", state_limits),
         "names": ("names", names),
+        "named signals": ("names", named_signals),
         "descriptor": ("descriptor", descriptor),
+        "noise at the inputs": ("amplitudes", noise_at("input")),
+        "noise at the outputs": ("amplitudes", noise_at("output")),
+        "noise at inputs and outputs": ("amplitudes", noise_at("input", "output")),
     }
     ordered = [plants, signals, networks, points, costs, controllers]
     found = [Feature(name, group, add) for table in ordered for name, (group, add) in table.items()]

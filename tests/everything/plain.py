@@ -281,13 +281,21 @@ def showing(model: Model, S: Array) -> Model:
     )  # fmt: skip
 
 
-def without_descriptor(tables: Tables) -> Tables:
-    """Return the file with the plants without E; W, jumps and disturbances are those of the equation of E."""
+def in_plain_form(tables: Tables) -> Tables:
+    """Return the file with covariances in place of amplitudes of noise, and with the plants without E.
+
+    W, jumps and disturbances are those of the equation of E, and noise at the inputs acts as they do, by its B.
+    """
     found = dict(tables)
     found["plant"] = dict(tables["plant"])
     if "actual" in found["plant"]:
         found["plant"]["actual"] = dict(found["plant"]["actual"])
     for plant in (found["plant"], found["plant"].get("actual", {})):
+        noise = plant.pop("noise", {})
+        if "input" in noise:
+            plant["W"] = (matrix(plant["B"]) @ np.diag(np.array(noise["input"]) ** 2) @ matrix(plant["B"]).T).tolist()
+        if "output" in noise:
+            plant["V"] = np.diag(np.array(noise["output"]) ** 2).tolist()
         if "E" not in plant:
             continue
         inverse = np.linalg.inv(matrix(plant.pop("E")))

@@ -219,7 +219,10 @@ JUMPS = {"rate": 5.0, "covariance": [[0.0, 0.0], [0.0, 0.5]]}
             {"B": [[0, 1]]},
             "B has shape (1, 2); expected the shape (2, any) = (states, inputs). Did you pass its transpose?",
         ),
-        ({"W": None}, "W is missing; expected the noise intensity per second (zeros for none), or jumps"),
+        (
+            {"W": None},
+            "W is missing; expected the noise intensity per second (zeros for none), or jumps, or noise.input",
+        ),
         ({"W": -np.eye(2)}, "W has the eigenvalue -1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
         (
             {"W": [[1], [1, 2]]},

@@ -17,6 +17,7 @@ from taciturn.design.at_fixed_steps import same_nodes
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
 from taciturn.model.limits import Limits
+from taciturn.model.names import Names
 from taciturn.model.signals import ExternalDisturbance, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.same_packets import even_steps
@@ -274,6 +275,9 @@ def test_a_stored_reference_is_what_the_outputs_follow() -> None:
     assert "set-point" in labels(found.plot().axes[0])
 
 
+UNNAMED = {"plant.input_names": None, "plant.output_names": None, "plant.units": None}
+
+
 def test_names_of_signals_have_their_units_in_the_figure() -> None:
     """Signals of different units have panels of their own; without names, those of the nodes, or letters."""
     pendulum = taciturn.load("pendulum-by-encoders")
@@ -281,9 +285,9 @@ def test_names_of_signals_have_their_units_in_the_figure() -> None:
     assert [axis.get_ylabel() for axis in found.plot().axes[::2]] == [
         "position (m)", "angle (rad)", "force (N)", "",
     ]  # fmt: skip
-    tanks = taciturn.load(TANKS).changed({"names": None})
+    tanks = taciturn.load(TANKS).changed(UNNAMED)
     assert labels(taciturn.simulate(tanks.close(tanks.design()), 20).plot().axes[0])[:2] == ["level-1", "level-2"]
-    plain = pendulum.changed({"names": None})
+    plain = pendulum.changed(UNNAMED)
     shown = taciturn.simulate(plain.close(plain.design()), 20).plot().axes
     assert labels(shown[0])[0] == "$y_{1}$"
 
@@ -297,6 +301,8 @@ def test_names_of_signals_have_their_units_in_the_figure() -> None:
     ],
 )
 def test_names_that_do_not_fit_are_refused(names: dict[str, list[str]], message: str) -> None:
-    """In one sentence, when the file is read."""
+    """In one sentence, when the file is read; the table is the older form of the keys of [plant]."""
+    plain = taciturn.load(TANKS).changed(UNNAMED)
     with pytest.raises(taciturn.ProblemError, match=message):
-        taciturn.load(TANKS).changed({"names": names})
+        plain.changed({"names": names})
+    assert plain.changed({"names": {"outputs": ["a", "b"]}}).plant.names == Names(outputs=("a", "b"))

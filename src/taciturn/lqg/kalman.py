@@ -127,7 +127,8 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
     unknown = np.flatnonzero(resting & (plant.covariance.diagonal() > 0))
     if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
         raise UnstableError(
-            f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which no "
+            f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}"
+            f"{plant.told('states', int(unknown[0]))}, which no "
             "noise drives and no measurement shows, so that its initial error remains and causes a cost forever; "
             "expected 0 for this state (its initial value is then initial.mean), or a measurement of it"
         )

@@ -41,7 +41,7 @@ _PREFIXES |= {name: name.lower() for name in _OWN} | {
 }
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
-_OPAQUE = ("plant.function", "Apply.function")  # callables
+_OPAQUE = ("plant.function", "Apply.function", "plant.names")  # callables, and names, which change no number
 _LEAVES = frozenset({str, int, float, bool, np.ndarray, type(None)})  # most of what is found
 _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties
 
@@ -53,8 +53,9 @@ def names(owner: str, properties: str) -> frozenset[str]:
 
 # states and inputs are deviations from an operating point, so all that holds for a plant around 0 holds there
 POINT = names("operating_point", "x u") | {"plant.operating_point"}
+# names change no number;
 # stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the inputs are limited
-LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit") | POINT
+LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit names") | POINT
 FEEDTHROUGH = frozenset({"plant.D", "plant.registers"})
 ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at
 DRIFT = frozenset({"plant.drift"})

@@ -28,6 +28,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, expect_unmasked, frozen, number, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.names import Names
 
 Map: TypeAlias = Callable[[Any, Any, Any], Any]
 """A function x, u, w → x⁺ in plain NumPy; it is called with arrays of floats or with arrays that record operations."""
@@ -84,7 +85,9 @@ class Dynamics(Displayed):
             )
         return result
 
-    def check(self, A: Array, B: Array, W: Array, at: tuple[Array, Array] | None = None) -> None:
+    def check(
+        self, A: Array, B: Array, W: Array, at: tuple[Array, Array] | None = None, names: Names | None = None
+    ) -> None:
         """Raise an error unless the linearisation of the function at the operating point has the given A and B.
 
         The noise must enter as in A x + B u + w: wherever W is not zero, the derivative with respect to w must be the
@@ -95,17 +98,19 @@ class Dynamics(Displayed):
             B: stated derivative with respect to u, (n, m).
             W: covariance of the noise, (n, n).
             at: the operating point (x, u); default 0.
+            names: names of the states, for messages.
 
         Raises:
             ProblemError: if the function fails, the point is not an equilibrium, or a derivative differs from its given
                 value.
         """
         n, m = B.shape
+        told = partial((names or Names()).told, "states")
         x, u = (np.zeros(n), np.zeros(m)) if at is None else at
         point = "0" if at is None else "the operating point"
         rest = self(x, u, np.zeros(n))
-        _expect_finite(rest, "function", f"at {'x = 0, u = 0' if at is None else point}, w = 0")
-        _expect_rest(x, rest, at is not None)
+        _expect_finite(rest, "function", f"at {'x = 0, u = 0' if at is None else point}, w = 0", told)
+        _expect_rest(x, rest, at is not None, told)
         derivatives = self.derivatives(x, u)
         where = "" if at is None else ", at=(x, u)"
         remedy = f": use A, B = taciturn.linearise(function, {n}, {m}{where})"
@@ -123,9 +128,9 @@ class Dynamics(Displayed):
             i = wrong[0]
             row = ", ".join(f"{value:.6g}" for value in derivatives[2][i])
             raise ProblemError(
-                f"the derivative of the function with respect to w at {point} has the row [{row}] for state {i + 1}; "
-                "expected the identity wherever W is not 0, as in A x + B u + w: define W as the covariance of the "
-                "noise that is added to the next state"
+                f"the derivative of the function with respect to w at {point} has the row [{row}] for state "
+                f"{i + 1}{told(i)}; expected the identity wherever W is not 0, as in A x + B u + w: define W as the "
+                "covariance of the noise that is added to the next state"
             )
         probe = x + 1e-3, u + 1e-3, np.zeros(n)
         if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
@@ -354,16 +359,16 @@ def _told(error: BaseException) -> str:
     return " ".join(filter(None, (f"{type(error).__name__}:", *str(error).split()))).removesuffix(":")
 
 
-def _expect_finite(values: Array, name: str, where: str) -> None:
+def _expect_finite(values: Array, name: str, where: str, told: Callable[[int], str]) -> None:
     lost = np.flatnonzero(~np.isfinite(values))
     if lost.size:
         raise ProblemError(
-            f"{name} returns {values[lost[0]]} as state {int(lost[0]) + 1} {where}; expected finite numbers for all "
-            "states"
+            f"{name} returns {values[lost[0]]} as state {int(lost[0]) + 1}{told(int(lost[0]))} {where}; expected "
+            "finite numbers for all states"
         )
 
 
-def _expect_rest(x: Array, found: Array, located: bool) -> None:
+def _expect_rest(x: Array, found: Array, located: bool, told: Callable[[int], str]) -> None:
     """Raise an error if a function does not rest at a point."""
     apart = np.abs(found - x)
     if apart.max() <= AT_REST * max(1.0, float(np.abs(x).max())):
@@ -371,13 +376,14 @@ def _expect_rest(x: Array, found: Array, located: bool) -> None:
     i = int(apart.argmax())
     if not located:
         raise ProblemError(
-            f"the function returns {found[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, because A and "
-            "B are the linearisation about this equilibrium: give another equilibrium as plant.operating_point"
+            f"the function returns {found[i]:.6g} as state {i + 1}{told(i)} at x = 0, u = 0, w = 0; expected 0, "
+            "because A and B are the linearisation about this equilibrium: give another equilibrium as "
+            "plant.operating_point"
         )
     raise ProblemError(
-        f"the function returns {found[i]:.12g} as state {i + 1} at the operating point with w = 0; expected "
-        f"{x[i]:.12g}, the same state: use operating_point.x = taciturn.model.dynamics.equilibrium(function, x, u), "
-        "with all digits"
+        f"the function returns {found[i]:.12g} as state {i + 1}{told(i)} at the operating point with w = 0; "
+        f"expected {x[i]:.12g}, the same state: use operating_point.x = taciturn.model.dynamics.equilibrium(function, "
+        "x, u), with all digits"
     )
 
 

@@ -8,7 +8,7 @@ for all limits together. They are simulated, or computed by importance splitting
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -21,7 +21,8 @@ from taciturn._style import StyleName
 from taciturn._text import number_of, power_text
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.key import Rows, stated_as
+from taciturn.model.key import NO_KEY, Rows, stated_as
+from taciturn.model.names import combined, unit_of
 from taciturn.model.result import SPLICED, Field, Result, plain_fields
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ class Limits(Displayed):
         outputs: C_z, (z, n).
         low: lower bounds, (z,); −∞ for none; default: none.
         high: upper bounds, (z,); ∞ for none; default: none.
+        quantities: names of the combinations, with their units in parentheses; default: those of a problem's plant, or
+            x1, x2, …
 
     Raises:
         ProblemError: a row is 0, a combination has no bound, or a lower bound is not below its upper bound.
@@ -52,8 +55,15 @@ class Limits(Displayed):
     outputs: Array = field(metadata=stated_as(Rows | None))  # omitted in a file: the measured outputs
     low: Array = field(metadata=stated_as(list[float] | None))
     high: Array = field(metadata=stated_as(list[float] | None))
+    quantities: tuple[str, ...] = field(default=(), metadata=NO_KEY)
 
-    def __init__(self, outputs: ArrayLike, low: ArrayLike | None = None, high: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        outputs: ArrayLike,
+        low: ArrayLike | None = None,
+        high: ArrayLike | None = None,
+        quantities: Sequence[str] = (),
+    ) -> None:
         """Validate and store the arguments."""
         rows = array("limits.outputs", outputs, (None, None), "(combinations, states)")
         for i in np.flatnonzero(~rows.any(axis=1)):
@@ -73,12 +83,19 @@ class Limits(Displayed):
                 raise ProblemError(
                     f"limits.low[{i}] is {below:g} and limits.high[{i}] is {above:g}; expected low < high"
                 )
-        set_fields(self, {"outputs": rows, **found})
+        if quantities and len(quantities) != size:
+            raise ProblemError(
+                f"limits.quantities has {number_of(len(quantities), 'name')}; expected {number_of(size, 'name')}, one "
+                "for each combination"
+            )
+        set_fields(self, {"outputs": rows, **found, "quantities": tuple(quantities)})
 
     @property
     def names(self) -> tuple[str, ...]:
         """Each limit as text, such as ``-1 ≤ x1 ≤ 1``."""
-        return tuple(map(_named, self.outputs, self.low.tolist(), self.high.tolist()))
+        plain = [f"x{i + 1}" for i in range(self.outputs.shape[1])]
+        named = self.quantities or [combined(row, plain) for row in self.outputs]
+        return tuple(map(_named, named, self.low.tolist(), self.high.tolist()))
 
     def summary(self) -> Mapping[str, object]:
         """Return the values to display: all limits as one text."""
@@ -216,11 +233,11 @@ def _bounds(name: str, value: ArrayLike | None, size: int, side: int) -> Array:
     return frozen(given)
 
 
-def _named(row: Array, low: float, high: float) -> str:
-    text = ""
-    for i in np.flatnonzero(row):
-        size = "" if abs(row[i]) == 1 else f"{abs(row[i]):.4g} "
-        sign = ("−" if row[i] < 0 else "") if not text else (" − " if row[i] < 0 else " + ")
-        text += f"{sign}{size}x{i + 1}"
-    left, right = (f"{low:g} ≤ " if np.isfinite(low) else ""), (f" ≤ {high:g}" if np.isfinite(high) else "")
-    return f"{left}{text}{right}"
+def _named(quantity: str, low: float, high: float) -> str:
+    name, unit = unit_of(quantity)
+    unit = f" {unit}" if unit else ""
+    left, right = (
+        (f"{low:g}{unit} ≤ " if np.isfinite(low) else ""),
+        (f" ≤ {high:g}{unit}" if np.isfinite(high) else ""),
+    )
+    return f"{left}{name}{right}"

@@ -45,6 +45,8 @@ from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.load import Load
+from taciturn.model.names import Names, Role, unit_of
+from taciturn.model.noise import Noise
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
@@ -161,6 +163,8 @@ class DisplayedPlant(Displayed):
     # of the simulated plant, which designs do not look at
     loads: tuple[Load, ...] = field(default=(), metadata=NO_KEY, kw_only=True)
     operating_point: OperatingPoint | None = field(metadata=stated_as(table_of(OperatingPoint) | None))
+    # for text and figures; a plant with further states and outputs keeps the names of the first ones
+    names: Names | None = field(default=None, compare=False, kw_only=True, metadata=NO_KEY)
     continuous: ClassVar[bool] = True
 
     @property
@@ -204,6 +208,10 @@ class DisplayedPlant(Displayed):
         """Mean of the initial state, (n,), in the units of the plant."""
         return self.mean if self.operating_point is None else self.mean + self.operating_point.x
 
+    def told(self, role: Role, place: int) -> str:
+        """Write the name of a signal after its number in a message; empty without names."""
+        return "" if self.names is None else self.names.told(role, place)
+
     @property
     def time(self) -> str:
         """Whether time is continuous or discrete, as text."""
@@ -231,7 +239,7 @@ class DisplayedPlant(Displayed):
             "operating point": None if self.operating_point is None else self.operating_point.short(),
             "mean": self.stated_mean if self.mean.any() else None,
             "covariance": self.covariance if self.covariance.any() else None,
-            "input limit": None if self.stated_limit is None else limits_text(self.stated_limit),
+            "input limit": None if self.stated_limit is None else limits_text(self.stated_limit, self.names),
             "input rate": None if self.input_rate is None else rates_text(self.input_rate, self.continuous),
         }
 
@@ -242,10 +250,14 @@ class DisplayedPlant(Displayed):
         return ", ".join(number_of(count, name) for count, name in named)
 
 
-def limits_text(limit: Array) -> str:
-    """Write the limits of the inputs, (m, 2), as text."""
-    sides = (f"±{high:.6g}" if low == -high else f"{low:.6g} to {high:.6g}" for low, high in limit)
-    return ", ".join(sides).replace("inf", "∞")
+def limits_text(limit: Array, names: Names | None = None) -> str:
+    """Write the limits of the inputs, (m, 2), as text, after the names of the inputs if they have some."""
+    sides = [f"±{high:.6g}" if low == -high else f"{low:.6g} to {high:.6g}" for low, high in limit]
+    sides = [side.replace("inf", "∞") for side in sides]
+    if names is None or not names.inputs:
+        return ", ".join(sides)
+    shown = [unit_of(label) for label in names.numbered("inputs", len(sides))]
+    return ", ".join(f"{name} {side} {unit}".strip() for (name, unit), side in zip(shown, sides, strict=True))
 
 
 def rates_text(rate: Array, continuous: bool) -> str:
@@ -358,7 +370,8 @@ class Plant(DisplayedPlant):
     Args:
         A: state matrix, (n, n).
         B: input matrix, (n, m).
-        W: process-noise covariance per step, (n, n), positive semidefinite; may be zero.
+        W: process-noise covariance per step, (n, n), positive semidefinite; may be zero. Required unless ``noise``
+            states that of the inputs.
         C: output matrix, (p, n); if omitted, the full state is measured.
         V: measurement-noise covariance, (p, p), positive semidefinite; if omitted, the measurement is exact.
         dt: seconds per step; if omitted, time is counted in steps.
@@ -380,6 +393,8 @@ class Plant(DisplayedPlant):
             + v_k; default 0. Only with C.
         E: matrix of the next state, (n, n), regular; default the identity. The effect of the exosystem on the state is
             then that on the equation of E. Not with ``function``.
+        noise: amplitudes of noise at the inputs in place of W, and at the outputs in place of V.
+        names: names of the states, inputs and outputs, or None.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if E is singular; if a growing
@@ -411,7 +426,7 @@ class Plant(DisplayedPlant):
         self,
         A: ArrayLike,
         B: ArrayLike,
-        W: ArrayLike,
+        W: ArrayLike | None = None,
         C: ArrayLike | None = None,
         V: ArrayLike | None = None,
         dt: float | None = None,
@@ -424,8 +439,15 @@ class Plant(DisplayedPlant):
         operating_point: OperatingPoint | None = None,
         D: ArrayLike | None = None,
         E: ArrayLike | None = None,
+        noise: Noise | None = None,
+        names: Names | None = None,
     ) -> None:
         """Validate and store the arguments."""
+        W, V = _covariances(noise, W, V, A, B, C)
+        if W is None:
+            raise ProblemError(
+                "W is missing; expected the process-noise covariance per step (zeros for none), or noise.input"
+            )
         if E is not None:
             if function is not None:
                 raise ProblemError(
@@ -434,6 +456,7 @@ class Plant(DisplayedPlant):
             inverse, A, B = explicit(E, A, B)
             W, exosystem = inverse.covariance("W", W), inverse.acting(exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
+        set_names(self, names)
         _set_step(self, W, dt, function, operating_point, mean is not None)
         _refuse_lost_modes(self, continuous=False)
 
@@ -471,7 +494,7 @@ class Plant(DisplayedPlant):
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limits."""
         start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers", "loads"}
-        apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit"}
+        apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit", "names"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -567,6 +590,8 @@ class ContinuousPlant(DisplayedPlant):
         D: direct feedthrough, (p, m), as for ``Plant``: each sample is taken before the input changes.
         E: matrix of the derivative, (n, n), regular; default the identity. Jumps, which must then be normal, and the
             exosystem act on the equation of E.
+        noise: amplitudes of noise at the inputs in place of W, and at the outputs in place of V.
+        names: names of the states, inputs and outputs, or None.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if E is singular; if a growing
@@ -595,24 +620,31 @@ class ContinuousPlant(DisplayedPlant):
         operating_point: OperatingPoint | None = None,
         D: ArrayLike | None = None,
         E: ArrayLike | None = None,
+        noise: Noise | None = None,
+        names: Names | None = None,
     ) -> None:
         """Validate and store the arguments."""
+        W, V = _covariances(noise, W, V, A, B, C)
         if E is not None:
             inverse, A, B = explicit(E, A, B)
             W = None if W is None else inverse.covariance("W", W)
             jumps, exosystem = inverse.shaking(jumps), inverse.acting(exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
+        set_names(self, names)
         locate(self, operating_point, mean is not None)
         if W is None and jumps is None:
-            raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
+            raise ProblemError(
+                "W is missing; expected the noise intensity per second (zeros for none), or jumps, or noise.input"
+            )
         if jumps is not None:
             if W is not None:
-                raise ProblemError("W and jumps are both given; expected one kind of noise: remove one")
+                what = "W" if noise is None or noise.input is None else "noise.input"
+                raise ProblemError(f"{what} and jumps are both given; expected one kind of noise: remove one")
             instance("jumps", jumps, Jumps)
             covariance = semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
             W = jumps.rate * covariance
-        noise = semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)")
-        set_fields(self, {"W": noise, "jumps": jumps})
+        intensity = semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)")
+        set_fields(self, {"W": intensity, "jumps": jumps})
         _refuse_lost_modes(self, continuous=True)
 
     @property
@@ -663,7 +695,7 @@ def _set_step(
         if not callable(function):
             raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
         found = function if isinstance(function, Dynamics) else Dynamics(function)
-        found.check(plant.A, plant.B, plant.W, None if point is None else (point.x, point.u))
+        found.check(plant.A, plant.B, plant.W, None if point is None else (point.x, point.u), plant.names)
         if point is not None:
             rest = found(point.x, point.u, np.zeros(len(point.x)))
             found = MovedDynamics.of(found, point.x, point.u, rest)
@@ -726,6 +758,27 @@ def _set_linear(
     set_fields(plant, {"full_state": np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None})
 
 
+def _covariances(
+    noise: Noise | None, W: ArrayLike | None, V: ArrayLike | None, A: ArrayLike, B: ArrayLike, C: ArrayLike | None
+) -> tuple[ArrayLike | None, ArrayLike | None]:
+    """Return the covariances W and V that are given, or that the amplitudes of the noise determine."""
+    if noise is None:
+        return W, V
+    instance("noise", noise, Noise)
+    outputs = array("A", A, (None, None)) if C is None else array("C", C, (None, None), "(outputs, states)")
+    return noise.covariances(W, V, B, len(outputs))
+
+
+def set_names(plant: Plant | ContinuousPlant, names: Names | None) -> None:
+    """Set the names of a new plant, after a check of their numbers. Outputs that are the states have their names."""
+    if names is None:
+        return
+    instance("names", names, Names)
+    names.expect(len(plant.C), plant.inputs, plant.states)
+    shown = replace(names, outputs=names.states) if plant.full_state and not names.outputs else names
+    set_fields(plant, {"names": shown})
+
+
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
     """Reject a plant with a growing mode that is not controllable or not observable.
 
@@ -760,7 +813,8 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
     if limit is not None:
         for i in np.flatnonzero((point.u < limit[:, 0]) | (point.u > limit[:, 1])):
             raise ProblemError(
-                f"operating_point.u is {point.u[i]:g} for input {i + 1}, beyond its input_limit "
+                f"operating_point.u is {point.u[i]:g} for input {i + 1}{plant.told('inputs', int(i))}, beyond its "
+                "input_limit "
                 f"[{limit[i, 0]:g}, {limit[i, 1]:g}]; expected an input within the limits"
             )
         set_fields(plant, {"input_limit": limits_at(plant, point)})

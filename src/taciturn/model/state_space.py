@@ -7,7 +7,7 @@ descriptor matrix E, which changes the meaning of A and B, is passed on or refus
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from taciturn._arrays import ArrayLike, expect_unmasked
 from taciturn.errors import ProblemError
+from taciturn.model.names import Names, Role, of_labels
+from taciturn.model.noise import Noise
 from taciturn.model.plant import ContinuousPlant, Plant
 
 DELAYS = ("InputDelay", "OutputDelay", "IODelay", "InternalDelay", "input_delay", "output_delay")
@@ -33,12 +35,13 @@ class StateSpaceLike(Protocol):
 
 def plant_from(
     system: object,
-    W: ArrayLike,
+    W: ArrayLike | None = None,
     V: ArrayLike | None = None,
     mean: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     input_limit: ArrayLike | None = None,
     input_rate: ArrayLike | None = None,
+    noise: Noise | None = None,
 ) -> Plant | ContinuousPlant:
     """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` to a plant.
 
@@ -48,14 +51,19 @@ def plant_from(
     python-control's ``dt=None`` (unspecified) is rejected. If the system has a matrix E, as MATLAB's descriptor
     systems, W is the covariance of the noise in the equation of E.
 
+    The labels of a system of python-control are the names of the plant, unless they are its usual ones, such as
+    ``x[0]``, or longer than a name. States of a transfer function have no names, and W in them depends on the tool:
+    ``noise`` states the noise at the inputs instead.
+
     Args:
         system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.
-        W: covariance or intensity of the process noise, (n, n).
+        W: covariance or intensity of the process noise, (n, n); required unless ``noise`` states that of the inputs.
         V: measurement-noise covariance, (p, p); if omitted, the measurement is exact.
         mean: mean of the initial state, (n,).
         covariance: covariance of the initial state, (n, n).
         input_limit: limits of each input: a positive number, or a pair [low, high].
         input_rate: largest change of each input, per second of a continuous system, and per step of a discrete one.
+        noise: amplitudes of noise at the inputs in place of W, and at the outputs in place of V.
 
     Returns:
         The plant.
@@ -72,12 +80,26 @@ def plant_from(
     expect_unmasked("system.D", linear.D)
     C, D = linear.C, linear.D if np.any(np.asarray(linear.D) != 0) else None
     E = descriptor_of(vars_of(linear))
+    names = _names_of(system, linear)
     if step == 0:
         return ContinuousPlant(
             linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,
-            input_rate=input_rate, D=D, E=E,
+            input_rate=input_rate, D=D, E=E, noise=noise, names=names,
         )  # fmt: skip
-    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate, D=D, E=E)
+    return Plant(
+        linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate, D=D, E=E, noise=noise,
+        names=names,
+    )  # fmt: skip
+
+
+def _names_of(system: object, linear: StateSpaceLike) -> Names | None:
+    """Return the names of the signals of a system of python-control; None for other systems."""
+    labels: dict[Role, Sequence[str]] = {
+        "states": getattr(linear, "state_labels", ()),
+        "inputs": getattr(system, "input_labels", ()),
+        "outputs": getattr(system, "output_labels", ()),
+    }
+    return of_labels(labels)
 
 
 def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:

@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Collection, Mapping
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -48,11 +49,13 @@ from taciturn.model.limits import Limits
 from taciturn.model.link import IDEAL_LINK
 from taciturn.model.names import Names
 from taciturn.model.network import Network
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, set_names
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
 from taciturn.problem.read import (
+    NAMING,
+    UNITS,
     actual_of,
     controller_of,
     cost_of,
@@ -60,12 +63,14 @@ from taciturn.problem.read import (
     functions_of,
     limits_of,
     locate_functions,
+    names_of,
     network_of,
     plant_of,
     refuse_functions,
     trajectory_in,
     used_tables,
     with_exosystem,
+    without_names,
 )
 from taciturn.problem.read import read_function as read_function
 from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
@@ -73,10 +78,10 @@ from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
 PARTS: dict[str, tuple[str, ...]] = {
-    "plant": ("plant", "disturbance", "reference"),
+    "plant": ("plant", "disturbance", "reference", "names"),
     "actual": ("plant", "disturbance", "reference"),
     "network": ("network", "nodes", "links"),
-    "limits": ("limits", "plant"),
+    "limits": ("limits", "plant", "names"),
     "names": ("names", "plant"),
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
@@ -103,11 +108,11 @@ class Problem(Displayed):
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
         limits: limits of the states, whose probability of violation is computed, or None.
-        names: names of outputs and inputs for figures, or None.
+        names: names of states, inputs and outputs, or None for those of the plant, which has them too.
 
     Raises:
-        ProblemError: if ``network`` is not a Network, the policy kind is unknown, or limits or names do not fit
-            the plant.
+        ProblemError: if ``network`` is not a Network, the policy kind is unknown, limits or names do not fit the plant,
+            or the plant has other names.
     """
 
     plant: Plant | ContinuousPlant
@@ -128,12 +133,27 @@ class Problem(Displayed):
         """Check the network and the policy kind; the parameters are checked by the design."""
         instance("network", self.network, Network)
         instance("own", self.own or self.record, Kind)
+        self._share_names()
         if self.limits is not None:
             instance("limits", self.limits, Limits)
             self.limits.expect_states(len(self.plant.A))
+            if self.names and not self.limits.quantities:
+                C = self.plant.C[:0] if self.plant.D is not None else self.plant.C
+                told = self.names.quantities(self.limits.outputs, C)
+                object.__setattr__(self, "limits", Limits(self.limits.outputs, self.limits.low, self.limits.high, told))
+
+    def _share_names(self) -> None:
+        """Give the names of the signals to the plant, or take those of the plant."""
         if self.names is not None:
-            instance("names", self.names, Names)
-            self.names.expect(len(self.plant.C), self.plant.inputs)
+            named = copy(self.plant)
+            set_names(named, self.names)
+            if self.plant.names is not None and self.plant.names != named.names:
+                raise ProblemError(
+                    "names are given, and the plant has other names; expected the names in one of the two: "
+                    "names=None, or a plant without names"
+                )
+            object.__setattr__(self, "plant", named)
+        object.__setattr__(self, "names", self.plant.names)
 
     @property
     def record(self) -> Kind:
@@ -313,7 +333,9 @@ class Problem(Displayed):
         tables = {name: table for name, table in tables.items() if table is not None}
         tables |= {"policy": {"kind": parameters.pop("kind", self.kind), **parameters}}
         if touched:
-            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own, "names" in touched)
+            naming = ("names", *(f"plant.{key}" for key in (*NAMING, UNITS)))
+            named = any(f"{name}.".startswith(f"{key}.") for name in values for key in naming)
+            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own, named)
             kept = [name for name, read in PARTS.items() if touched.isdisjoint(read)]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
@@ -401,7 +423,8 @@ def parse(
         stated = {"reference": trajectory, "controller": file.controller}
         for part in (part for part, given in stated.items() if given is not None):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
-        plant, simulated = plant_of(file.plant, known or {}), file.plant.get("actual")
+        names = names_of(file) if named else None
+        plant, simulated = plant_of(file.plant, known or {}, names=names), file.plant.get("actual")
         actual = None if simulated is None else actual_of(simulated, file.plant.get("dt"), plant, known or {})
         controller = (
             None if file.controller is None else controller_of(file.controller, plant, file.reference is not None)
@@ -413,11 +436,11 @@ def parse(
         if simulated is not None and actual is not None:
             actual = with_exosystem(actual, simulated, file, points, network)
         reference = None if trajectory is None else Reference(**trajectory)
-        limits, names = limits_of(file.limits, plant), None if file.names is None else Names(**file.names)
         source = _copied(tables)
-        if names is not None and not named:
-            fitting = names.fitting(len(plant.C), plant.inputs)
-            names, source = Names(**fitting), {**source, "names": {role: list(one) for role, one in fitting.items()}}
+        if not named:
+            source = without_names(source, plant)
+            names = names_of(validate(File, source))
+        limits = limits_of(file.limits, plant)
         return Problem(
             plant, cost, network, kind, parameters, actual, reference, source, name, own, controller, limits, names
         )

@@ -6,7 +6,8 @@
   (``with_exosystem``), with a timetable from a file, or a disturbance for each output that has integral action.
 * ``plant.function`` names a Python function as ``file.py:name``. Reading it executes the file, unless functions are
   refused. Relative paths start at the folder of the problem file.
-* ``[plant]`` and ``[plant.actual]`` have the same time base and sizes.
+* ``[plant]`` and ``[plant.actual]`` have the same time base and sizes. The names of signals are those of ``[plant]``,
+  or of the older table ``[names]``; a changed plant loses names that do not fit.
 * ``[cost]`` states weights, variances (Bryson's rule), or weights by the present loop of ``[controller]``.
 * ``[controller]`` states gains, matrices or a file, with the sign of its feedback: u = −(C z + D y) by default.
 * ``[limits]`` are of the measured outputs if it states no others.
@@ -42,7 +43,9 @@ from taciturn.model.key import Rows
 from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw, usual_links
 from taciturn.model.losses import USUAL, LossLaw, find_law
+from taciturn.model.names import Names, Role
 from taciturn.model.network import SHORT, Network, NodeRole
+from taciturn.model.noise import Noise
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
@@ -319,11 +322,17 @@ def used_tables(kind: Kind, stated: Mapping[str, object]) -> dict[str, Any]:
 
 
 def plant_of(
-    table: PlantKeys, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
+    table: PlantKeys,
+    known: Mapping[str, Dynamics],
+    usual: OperatingPoint | None = None,
+    names: Names | None = None,
 ) -> Plant | ContinuousPlant:
-    """Make a plant from its table. If the table states no operating point, ``usual`` is used."""
-    given: dict[str, Any] = {name: value for name, value in table.items() if name not in ("initial", "actual")}
+    """Make a plant from its table, with names. If the table states no operating point, ``usual`` is used."""
+    given: dict[str, Any] = {name: value for name, value in table.items() if name not in APART}
     given |= table.get("initial", {})
+    given["names"] = names
+    if "noise" in given:
+        given["noise"] = Noise(**given["noise"])
     given["operating_point"] = OperatingPoint(**given["operating_point"]) if "operating_point" in given else usual
     if "dt" not in given:
         if "function" in given:
@@ -338,11 +347,71 @@ def plant_of(
         raise ProblemError(
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt"
         )
-    if "W" not in given:
-        raise ProblemError("plant.W is missing; expected the process-noise covariance per step (zeros for none)")
+    if "W" not in given and ("noise" not in given or given["noise"].input is None):
+        raise ProblemError(
+            "plant.W is missing; expected the process-noise covariance per step (zeros for none), or plant.noise.input"
+        )
     if "function" in given:
         given["function"] = read_function(given["function"], known)
     return Plant(**given)
+
+
+# keys of the names of signals
+NAMING: Mapping[str, Role] = {"state_names": "states", "input_names": "inputs", "output_names": "outputs"}
+UNITS = "units"
+APART = ("initial", "actual", *NAMING, UNITS)  # keys of [plant] that are no arguments of the plant
+
+
+def names_of(file: File) -> Names | None:
+    """Return the names and units of signals that a file states: those of [plant], or of the table [names]."""
+    table = file.plant
+    given = [key for key in (*NAMING, UNITS) if key in table]
+    if file.names is not None and given:
+        raise ProblemError(
+            f"[names] and plant.{given[0]} are both given; expected the names and units of signals only in [plant]: "
+            "remove [names]"
+        )
+    if not given:
+        return None if file.names is None else Names(**file.names)
+    sizes, units = _sizes(table), cast("dict[Role, list[str]]", table.get(UNITS, {}))
+    names: dict[str, list[str]] = {key: table[key] for key in NAMING if key in table}
+    roles: dict[str, Role] = {**NAMING, **{f"{UNITS}.{role}": role for role in units}}
+    for key, listed in {**names, **{f"{UNITS}.{role}": one for role, one in units.items()}}.items():
+        role = roles[key]
+        if len(listed) != sizes.get(role, len(listed)):
+            raise ProblemError(
+                f"plant.{key} has {number_of(len(listed), 'entry')}; expected {number_of(sizes[role], 'entry')}, one "
+                f"for each of the {role}"
+            )
+    return Names.stated(**{NAMING[key]: listed for key, listed in names.items()}, units=units)
+
+
+def _sizes(table: PlantKeys) -> dict[Role, int]:
+    """Return the numbers of signals by the matrices of a table; those that are no matrices, the plant refuses."""
+    found: dict[str, Array] = {}
+    for name in (name for name in "ABC" if name in table):
+        rows = cast("list[object]", table[name] if isinstance(table[name], list) else [[table[name]]])
+        columns = {len(cast("list[float]", row)) if isinstance(row, list) else 0 for row in rows}
+        if len(columns) == 1 and columns != {0}:
+            found[name] = np.zeros((len(rows), columns.pop()))
+    outputs = found.get("C" if "C" in table else "A")
+    sizes: dict[Role, int] = {} if "A" not in found else {"states": len(found["A"])}
+    sizes |= {} if "B" not in found else {"inputs": found["B"].shape[1]}
+    return sizes if outputs is None else {**sizes, "outputs": len(outputs)}
+
+
+def without_names(tables: Mapping[str, Any], plant: Plant | ContinuousPlant) -> dict[str, Any]:
+    """Return the tables of a changed file without names and units of signals that the changed plant does not have."""
+    sizes: dict[Role, int] = {"states": plant.states, "inputs": plant.inputs, "outputs": len(plant.C)}
+
+    def fitting(listed: Mapping[str, Any]) -> dict[str, Any]:
+        roles: dict[str, Role] = {**NAMING, **{role: role for role in NAMING.values()}}
+        return {key: value for key, value in listed.items() if key not in roles or len(value) == sizes[roles[key]]}
+
+    found = {**tables, "plant": fitting(tables["plant"])}
+    if UNITS in found["plant"]:
+        found["plant"][UNITS] = fitting(found["plant"][UNITS])
+    return {**found, "names": fitting(tables["names"])} if "names" in tables else found
 
 
 def actual_of(
@@ -485,7 +554,7 @@ def limits_of(table: LimitsKeys | None, plant: Plant | ContinuousPlant) -> Limit
             "limits.outputs is missing, but the measured outputs have a direct feedthrough plant.D; expected "
             "limits.outputs, whose rows weight the states"
         )
-    return Limits(**{"outputs": plant.C, **table})
+    return Limits(table.get("outputs", plant.C), table.get("low"), table.get("high"))
 
 
 def _expect_stated(table: ControllerKeys, plant: Plant | ContinuousPlant) -> None:
@@ -496,9 +565,9 @@ def _expect_stated(table: ControllerKeys, plant: Plant | ContinuousPlant) -> Non
     y = plant.rest_outputs
     for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
         raise ProblemError(
-            f"the controller has the set-point 0 for output {i + 1}, but this output is {y[i]:g} at "
-            "plant.operating_point; expected another set-point, or no set-point, which means the value at the "
-            "operating point"
+            f"the controller has the set-point 0 for output {i + 1}{plant.told('outputs', i)}, but this output is "
+            f"{y[i]:g} at plant.operating_point; expected another set-point, or no set-point, which means the "
+            "value at the operating point"
         )
 
 

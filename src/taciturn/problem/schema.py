@@ -50,6 +50,7 @@ from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw
 from taciturn.model.names import Names
 from taciturn.model.network import NodeRole
+from taciturn.model.noise import Noise
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.signals import ExternalDisturbance, RandomSteps, SetPoint
 
@@ -186,11 +187,33 @@ class InitialKeys(Displayed):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class OtherPlantKeys(Displayed):
-    """Keys of ``[plant]`` and ``[plant.actual]`` that are no arguments of the plant's class, such as ``initial``."""
+    """Keys of ``[plant]`` and ``[plant.actual]`` that are no attributes of the plant's class, such as ``initial``."""
 
     ORDER: ClassVar = (*"ABCDWVE", "dt", "input_limit", "input_rate", "function", "initial", "jumps")  # in messages
     E: Rows | None = field(default=None, metadata={"note": "matrix of {moved}"})
+    noise: Annotated[dict[str, Any], Noise] | None = field(
+        default=None, metadata={"note": "in place of W and V: standard deviations of noise at the inputs and outputs"}
+    )
     initial: Annotated[dict[str, Any], InitialKeys] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class UnitKeys(Displayed):
+    """Keys of the table ``units`` of ``[plant]``: the units of states, inputs and outputs."""
+
+    states: list[str] | None = None
+    inputs: list[str] | None = None
+    outputs: list[str] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SignalKeys(Displayed):
+    """Keys of ``[plant]`` for the names and units of its signals, which the simulated plant has too."""
+
+    state_names: list[str] | None = None
+    input_names: list[str] | None = None
+    output_names: list[str] | None = None
+    units: Annotated[dict[str, Any], UnitKeys] | None = None
 
 
 PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys]
@@ -254,7 +277,7 @@ class OtherControllerKeys(Displayed):
     sign: Literal["negative", "positive"] = "negative"
 
 
-NominalPlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, ActualKeys]
+NominalPlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, SignalKeys, ActualKeys]
 CostKeys: TypeAlias = Annotated[dict[str, Any], Cost, OtherCostKeys]
 NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
 LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw, OtherLinkKeys]

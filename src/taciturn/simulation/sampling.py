@@ -725,7 +725,9 @@ def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | N
     if last is not None and point is not None:
         last = last + (point.x if entries is None else point.x[entries])
     whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
+    named = "" if loop.names is None else loop.names.told("states", entry)
     return UnstableError(
-        f"the plant's function returns no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence};"
+        f"the plant's function returns no finite number as state {entry + 1}{named} in the loop of "
+        f"{loop.policy.kind}{whence};"
         " expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
     )

@@ -37,7 +37,7 @@ from taciturn._text import link_names, number_of, percent, symbol, table_text, w
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop, close
 from taciturn.model.estimate import Estimate
-from taciturn.model.names import Names, common_unit, unit_of
+from taciturn.model.names import Names, Role, common_unit, unit_of
 from taciturn.model.policy import Policy, own_problem
 from taciturn.model.result import FIRST, LAST, VERDICT, Column, Columns, Field, Result, Tabular, plain_fields
 from taciturn.model.signals import Exosystem
@@ -107,6 +107,7 @@ class Trajectory(Tabular):
         Field("measurement", lambda found: found.measured),
         *plain_fields("trigger_value", "threshold", "sends", "delivered", "triggers", "thresholds"),
         *plain_fields("allowances", "cost"),
+        Field("names", lambda found: (found.loop.names or Names()).document(), optional=True),
         Field("predicted", key="", say="xhat", text=lambda found: PREDICTED if found.predicts else ""),
         Field("omitted", key="", say="note"),
         Field("versus", json=lambda path: {"name": path.name, **path.document()}, optional=True),
@@ -204,8 +205,13 @@ class Trajectory(Tabular):
     def _shown(self) -> tuple[list[tuple[str, Array]], bool, bool]:
         """Return the columns that fit into a line, and whether columns and steps are left out."""
         named = [("x", self.state), ("u", self.input), *([("xhat", self.estimate)] if self.predicts else [])]
-        columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
-        room = max(_COLUMNS, width() // _COLUMN - 1)
+        names, columns = self.loop.names or Names(), list[tuple[str, Array]]()
+        roles: Mapping[str, Role] = {"x": "states", "u": "inputs"}
+        for name, values in named:
+            usual = [f"{name}{i + 1}" for i in range(values.shape[1])]
+            columns += zip(names.labels(roles[name], usual) if name in roles else usual, values.T, strict=True)
+        longest = max([_COLUMN, *(len(name) + 2 for name, _ in columns)])
+        room = max(_COLUMNS, width() // longest - 1)
         left = max(0, len(columns) - (room - len(self.sends)))
         return columns[: len(columns) - left], left > 0, len(self.time) > FIRST + LAST
 
@@ -436,15 +442,16 @@ def _outputs(path: Trajectory) -> Iterator[_Shown]:
         path.loop.policy.measured, plant.sensed, "x" if plant.alone is None and plant.full_state else "y", path
     )
     aims = list(_targets(path))
-    bounds = list[tuple[Array, float, float]]()
+    bounds, told = list[tuple[Array, float, float]](), dict[bytes, str]()
     if limits is not None:
         ends = limits.low.tolist(), limits.high.tolist()
         bounds += zip(_padded(limits.outputs, plant.states), *ends, strict=True)
+        told |= {row.tobytes(): name for (row, _, _), name in zip(bounds, limits.quantities, strict=False)}
     rows = [*measured]
     for row in (*(row for row, _ in aims), *(row for row, _, _ in bounds)):
         if not any(np.array_equal(row, other) for other in rows):
             rows.append(row)
-            names.append(f"$z_{{{len(rows) - plant.sensed}}}$")
+            names.append(told.get(row.tobytes(), f"$z_{{{len(rows) - plant.sensed}}}$"))
     seen = path.estimate if path.estimate.shape[1] == plant.states else None
     for name, row in zip(names, rows, strict=True):
         values = path.state @ row
@@ -502,15 +509,11 @@ def _inputs(path: Trajectory) -> Iterator[_Shown]:
 
 def _names(at: Mapping[str, tuple[str, tuple[int, ...]]], size: int, letter: str, path: Trajectory) -> list[str]:
     """Return the names of signals: that of a node with a single one, or else a letter and a number."""
-    given = path.loop.names or Names()
-    stated = given.inputs if letter == "u" else given.outputs
-    if stated:
-        return [*stated]
     names = [f"${letter}_{{{i + 1}}}$" for i in range(size)]
     for node, entries in at.values():
         if path.loop.policy.network.own_nodes and len(entries) == 1 and entries[0] < size:
             names[entries[0]] = node
-    return names
+    return (path.loop.names or Names()).labels("inputs" if letter == "u" else "outputs", names)
 
 
 def _padded(rows: Array, states: int) -> Array:

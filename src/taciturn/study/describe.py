@@ -93,6 +93,7 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         "input_limit": None if limit is None else _plain(limit_entries(limit)),
         **({} if rate is None else {"input_rate": _plain(rate)}),
         **({"loads": [_load_document(one) for one in plant.loads]} if plant.loads else {}),
+        **({} if plant.names is None else {"names": plant.names.document()}),
         **({} if e is None else {"exosystem": {name: _plain(value) for name, value in _parts(e).items()}}),
     }
 
@@ -131,6 +132,7 @@ def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]
 def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     rows = plant.summary()
     lines: Lines = [("plant", f"{rows['size']}; {rows['time']}"), ("poles", str(rows["poles"]))]
+    lines += [] if plant.names is None else list(plant.names.lines())
     for name, lost, verb in zip(("controllable", "observable"), _lost(plant), ("moves", "shows"), strict=True):
         what = "input" if verb == "moves" else "measurement"
         modes = ", ".join(map(Limit(plant.continuous).named, lost))
