@@ -19,6 +19,7 @@ LQG with the same weights, and PID controllers with half their derivative gain.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from taciturn._display import Displayed
@@ -75,12 +76,28 @@ def excess_over(cost: Estimate, base: Estimate) -> Estimate | None:
     return Estimate(found.value, error, found.method, found.error + abs(share) * base.error)
 
 
+ALIKE = 4.0  # standard errors within which measured baselines are those of one loop
+
+
+def common_base(bases: Sequence[Estimate | None]) -> Estimate | None:
+    """Return the most precise one of equal costs of every sample; None if one is unknown, or if they differ."""
+    known = [one for one in bases if one is not None]
+    if not known or len(known) < len(bases):
+        return None
+    best = min(known, key=lambda one: one.standard_error)
+    if all(one.standard_error == 0 for one in known):
+        return best if len({one.value for one in known}) == 1 else None
+    alike = all(
+        abs(one.value - best.value) <= ALIKE * (one.standard_error**2 + best.standard_error**2) ** 0.5 for one in known
+    )
+    return best if alike else None
+
+
 def baseline_of(problem: Problem, loop: Loop) -> Baseline:
     """Return the loop that sends every sample, and its cost if it is known without a simulation."""
     policy = loop.deviations.policy
     if loop.nominal and policy.theory.cost_all_time is not None:
-        cost = Estimate(policy.theory.cost_all_time, 0.0, "exact", policy.theory.cost_all_time_error or 0.0)
-        return Baseline(None, cost)
+        return Baseline(None, Estimate(policy.theory.cost_all_time, 0.0, "exact"))
     try:
         every = _every_sample(problem, loop)
     except TaciturnError as error:

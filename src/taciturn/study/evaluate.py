@@ -277,8 +277,8 @@ def _evaluated(
         certificate=_certificate(loop, found),
         guarantee_shares={} if guarantee is None else _guarantee_shares(loop, guarantee, found),
         cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
-        cost_every_sample=every,
-        excess=excess,
+        baseline=None if loop.nominal else every,
+        paired=None if loop.nominal else excess,
         better=better,
     )
 
@@ -333,8 +333,6 @@ def _evaluated_without_steps(
         consistency=_consistency(found.cost, fair, policy.statement is not None),
         notes=policy.notes,
         bound_error=policy.bound_error(interval),
-        cost_every_sample=(every := Estimate(policy.cost_all_time, 0.0, "exact")),
-        excess=excess_over(found.cost, every),
     )
 
 

@@ -32,6 +32,7 @@ from taciturn.model.result import SPLICED, VERDICT, Field, Tabular, plain_fields
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.problem import Problem
+from taciturn.study.baseline import excess_over
 from taciturn.study.evaluation_figure import cost_panel, rate_panel
 from taciturn.study.further_loops import AfterStep, AsWritten, WithoutLimits
 from taciturn.study.measure import CONDITIONAL
@@ -379,9 +380,9 @@ class Evaluation(Tabular):
         base_rate: rate of sending every sample, or None if sends may occur at any time.
         cost: cost per step or per second, or the total of a finite-horizon run.
         cost_all_time: exact cost of sending every sample, or None if the simulated plant is not the one of the design.
-        cost_every_sample: cost of the same loop that sends every sample, with its limits, losses and rounding: exact
-            where a theorem gives it, else simulated on the same random numbers; None if there is no such average.
-        excess: cost/cost_every_sample − 1, with the standard error of this pair; None if every sample costs nothing.
+        baseline: cost of sending every sample in a loop that is not the one of the design, exact or simulated on the
+            same random numbers; None if ``cost_all_time`` states it, or if there is no such average.
+        paired: cost/baseline − 1, simulated on the same random numbers, or None.
         better: costs of other controllers that send every sample, by name, if the policy costs less than its baseline.
         cost_lqg: cost of LQG with the same weights and every sample, for a policy that keeps a given controller.
         statement: the theorem that proves the bounds, or None.
@@ -536,8 +537,8 @@ class Evaluation(Tabular):
     withdrawn: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     by_default: bool = False
-    cost_every_sample: Estimate | None = None
-    excess: Estimate | None = None
+    baseline: Estimate | None = None
+    paired: Estimate | None = None
     better: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
 
     @property
@@ -565,6 +566,23 @@ class Evaluation(Tabular):
     def sends(self) -> str:
         """Heading of a table column that contains send rates."""
         return f"sends per {self.rate_unit}"
+
+    @property
+    def cost_every_sample(self) -> Estimate | None:
+        """Cost of the same loop that sends every sample, with its limits, losses and rounding: exact where a theorem
+        gives it, else simulated on the same random numbers; None if there is no such average.
+        """
+        return self.baseline if self.cost_all_time is None else _known(self.cost_all_time)
+
+    @property
+    def excess(self) -> Estimate | None:
+        """cost/cost_every_sample − 1, with the standard error of a pair if both are simulated; None if every sample
+        costs nothing, or an unknown amount.
+        """
+        every = self.cost_every_sample
+        if self.measured or every is None:
+            return self.paired
+        return excess_over(self.cost, every)
 
     @property
     def base(self) -> float | None:
