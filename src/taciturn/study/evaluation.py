@@ -615,8 +615,10 @@ class Evaluation(Tabular):
 
     @property
     def sends_every_sample(self) -> bool:
-        """True if the policy sends every sample, and its cost is known in closed form."""
-        return self.cost.method == "exact" and all(rate.value == self.base_rate for rate in self.rates.values())
+        """True if the policy sends every sample, and its cost is known in closed form or is that of its baseline."""
+        same = self.measured and self.paired is not None and self.paired.value == self.paired.standard_error == 0
+        known = self.cost.method == "exact" or same
+        return known and all(rate.value == self.base_rate for rate in self.rates.values())
 
     @property
     def battery_days(self) -> dict[str, Estimate]:
