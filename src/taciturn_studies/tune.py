@@ -41,6 +41,7 @@ from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.policy import Policy
 from taciturn.model.result import SPLICED, VERDICT, Field, Part, Result, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
@@ -144,7 +145,7 @@ def tune(
             ((link, rate),) = rate.items()
         tuning = _tuning(problem, link)
         goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
-        bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
+        bar, divided = Stages(in_notebook(progress)), _divides(problem, tuning, goal, link)
         if divided:
             Search(problem, tuning, goal, seed, None).expect_start()
             problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
@@ -218,7 +219,7 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
     return TrafficGoal(limit) if name == "traffic" else RateGoal(limit, link or tuning.link)
 
 
-def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
+def _divides(problem: Problem, tuning: TradeoffParameter, goal: Goal, link: str | None) -> bool:
     """Return whether the shares of several links are to be tuned."""
     name = problem.record.shares
     stated = name is None or name in problem.parameters
@@ -235,7 +236,14 @@ def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
         and link is None
         and not isinstance(goal, RateGoal | ViolationGoal)
         and len(problem.network.links) > 1
+        and _decides_on_several(problem.changed({tuning.name: tuning.value_in(problem.parameters)}))
     )
+
+
+def _decides_on_several(problem: Problem) -> bool:
+    """Return whether a policy decides on several links: with a given controller, a kind may decide on one only."""
+    policy = problem.designed()
+    return isinstance(policy, Policy) and len(policy.scheduled) > 1
 
 
 def _found(
