@@ -23,7 +23,7 @@ from taciturn.loop import Loop, close
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result
+from taciturn.model.result import Field, Result, plain_fields
 from taciturn.model.saturation import Saturation
 from taciturn.problem import Problem
 from taciturn.problem.without_file import BareKind
@@ -50,6 +50,12 @@ class AsWritten(Result):
         cost_every_sample: cost of sending every sample there, exact or simulated on the same random numbers, or None.
         excess: cost/cost_every_sample − 1, or None.
     """
+
+    FIELDS: ClassVar[tuple[Field[AsWritten], ...]] = (
+        *plain_fields("added", "cost", "cost_all_time", "cost_every_sample"),
+        Field("excess_percent", lambda found: None if found.excess is None else found.excess.scaled(100.0)),
+        *plain_fields("rates", "settled"),
+    )
 
     added: str
     cost: Estimate
