@@ -367,17 +367,18 @@ class Loop(Displayed):
         mean = plant.mean if loads is None else plant.mean + loads.start
         return mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T, draws
 
-    def final_cost(self, program: Program, states: Array) -> Array | None:
+    def final_cost(self, program: Program, states: Array, name: str = "x") -> Array | None:
         """Compute the terminal cost of each path, (paths,); return None if the cost does not weight the final state.
 
         Args:
             program: a program with the state ``x``.
             states: its states after the last step, (states, paths).
+            name: name of the state of the plant in the program.
         """
         terminal = self.problem.terminal
         if terminal is None:
             return None
-        x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
+        x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == name])
         x = self.from_final_target(x.T).T
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 

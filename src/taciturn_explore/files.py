@@ -7,16 +7,14 @@ for bit, so a saved file gives the digits that the page shows.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
 
 from taciturn.extend import Displayed
 from taciturn.problem import Problem
+from taciturn.problem.write import tables_text
 from taciturn_explore.setting import FACTOR, Setting
 
 SAVED = "saved.toml"  # name of the file that is taken away
-WIDTH = 100  # columns of a line with an array
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +46,7 @@ def problem_file(setting: Setting, problem: Problem) -> str:
     lines = [f"# Written by taciturn explore, from {begun}{f' with {changed}' if changed else ''}.", ""]
     tables = problem.source or {}
     last = {name: table for name, table in tables.items() if name != "policy"}
-    return "\n".join([*lines, *_lines((), {**last, "policy": tables.get("policy", {})})]).rstrip() + "\n"
+    return "\n".join([*lines, tables_text({**last, "policy": tables.get("policy", {})})])
 
 
 def python_lines(setting: Setting, effort: Effort) -> str:
@@ -83,52 +81,3 @@ def command(setting: Setting, effort: Effort) -> str:
 def _needs_file(setting: Setting) -> bool:
     """Return whether the changes are more than keys of a built-in problem, which the command line can state."""
     return not setting.name or setting.kind is not None or any(name.startswith(FACTOR) for name, _ in setting.changes)
-
-
-def _lines(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of a table: its values, then the tables in it."""
-    inner: dict[str, Any] = {
-        key: value for key, value in table.items() if isinstance(value, Mapping) or _is_tables(value)
-    }
-    plain = {key: value for key, value in table.items() if key not in inner and value is not None}
-    if path and (plain or not inner):
-        yield f"[{'.'.join(path)}]"
-    for key, value in plain.items():
-        yield f"{_key(key)} = {_value(value)}"
-    if plain or path:
-        yield ""
-    for key, value in inner.items():
-        if isinstance(value, Mapping):
-            yield from _lines((*path, _key(key)), cast("Mapping[str, Any]", value))
-            continue
-        for one in cast("list[Mapping[str, Any]]", value):
-            yield f"[[{'.'.join((*path, _key(key)))}]]"
-            yield from (f"{_key(name)} = {_value(part)}" for name, part in one.items() if part is not None)
-            yield ""
-
-
-def _is_tables(value: object) -> bool:
-    listed = cast("list[object]", value if isinstance(value, list | tuple) else [])
-    return bool(listed) and all(isinstance(one, Mapping) for one in listed)
-
-
-def _key(name: str) -> str:
-    bare = name.replace("-", "").replace("_", "")
-    return name if bare.isascii() and bare.isalnum() else json.dumps(name)
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, Mapping):
-        entries = (f"{_key(name)} = {_value(one)}" for name, one in cast("Mapping[str, object]", value).items())
-        return f"{{{', '.join(entries)}}}"
-    listed = cast("list[object]", value)
-    short = f"[{', '.join(map(_value, listed))}]"
-    if len(short) <= WIDTH or not any(isinstance(one, list | tuple) for one in listed):
-        return short
-    return "[\n" + "".join(f"  {_value(one)},\n" for one in listed) + "]"

@@ -22,7 +22,7 @@ from taciturn.problem import Problem
 from taciturn.renewal.without_steps import PolicyWithoutSteps
 from taciturn.simulation.average import difference
 from taciturn.study.evaluate import choose_confidence, evaluate, with_written
-from taciturn.study.evaluation import Evaluation, clock_text, percent_above
+from taciturn.study.evaluation import Evaluation, clock_text, percent_above, percent_text
 from taciturn.study.measure import Request
 from taciturn.study.periodic import clock_of
 from taciturn_explore.controls import tuned
@@ -52,7 +52,7 @@ def every_sample(problem: Problem, found: Evaluation) -> float | None:
 
 def fine(found: Evaluation) -> Effort:
     """Return the accuracy of a refined evaluation: a standard error or, if that takes too long, a number of steps."""
-    wanted = FINE * abs(found.cost_all_time or found.cost.value)
+    wanted = FINE * abs(found.base or found.cost.value)
     if found.steps * (found.cost.standard_error / wanted) ** 2 > MOST_STEPS:
         return Effort(steps=MOST_STEPS)
     return Effort(standard_error=float(f"{wanted:.2g}"))
@@ -72,15 +72,17 @@ def measured(setting: Setting, problem: Problem, effort: Effort, further: bool =
 
 def point(setting: Setting, problem: Problem, found: Evaluation, effort: Effort) -> dict[str, Any]:
     """Return the cost and the traffic of a setting, and the other numbers that the page shows next to its plot."""
-    base, whole, main = found.cost_all_time, every_sample(problem, found), tuned(problem)
+    base, whole, main = found.base, every_sample(problem, found), tuned(problem)
     traffic, periodic = found.traffic, found.periodic
     bound = found.guarantee_at_rate or (None if found.cost_bound is None else _known(found.cost_bound))
     return {
-        "cost": shown(found.cost, base),
+        "cost": shown(found.cost, base) | ({} if found.excess is None else {"above": percent_text(found.excess)}),
         "traffic": None if traffic is None else _traffic(traffic, whole),
         "rates": [_rate(link, rate, found) for link, rate in found.rates.items()],
         "whole": whole,
-        "every": None if base is None or whole is None else {"cost": base, "traffic": whole, "text": f"{base:.6g}"},
+        "every": None
+        if base is None or whole is None
+        else {"cost": base, "traffic": whole, "text": str(found.cost_every_sample)},
         "every_text": None if whole is None else f"{whole:.4g}",
         "guarantee": None if bound is None else shown(bound, found.highest_all_time, 1),
         "periodic": None if periodic is None else shown(periodic, base),
@@ -153,11 +155,11 @@ def _apart(rate: Estimate, found: Evaluation) -> str | None:
 
 def _written(found: Evaluation) -> dict[str, float] | None:
     """Return traffic and cost on the plant as written, whose excess over every sample is that on the axis."""
-    written, base = found.as_written, found.cost_all_time
-    if written is None or not written.settled or not written.cost_all_time or not base:
+    written, base = found.as_written, found.base
+    if written is None or not written.settled or written.excess is None or not base:
         return None
     traffic = sum(found.prices.get(link, 1.0) * rate.value for link, rate in written.rates.items())
-    return {"traffic": traffic, "cost": base * written.cost.value / written.cost_all_time}
+    return {"traffic": traffic, "cost": base * (1 + written.excess.value)}
 
 
 def _watts(power: Estimate) -> str:
@@ -224,7 +226,7 @@ def beside(problem: Problem, found: Evaluation) -> dict[str, Any]:
         cost = at_traffic(problem, found.traffic)
     except NoLinkClocksError as error:
         raise ProblemError(str(error)) from None
-    return {"periodic": shown(cost, found.cost_all_time)}
+    return {"periodic": shown(cost, found.base)}
 
 
 def bound(setting: Setting, problem: Problem) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -33,6 +33,9 @@ from taciturn.cli.frame import (
     refuse,
     save_picture,
 )
+
+if TYPE_CHECKING:
+    from taciturn_studies.tune import Tuned
 
 
 @app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
@@ -182,6 +185,10 @@ def tune(
         ),
     ] = None,
     link: Link = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.toml", help="Problem file to write, with the tuned parameter. It must not exist."),
+    ] = None,
     least_period: Annotated[
         float | None, typer.Option(help="Also tune the sampling period; its smallest value is this number of seconds.")
     ] = None,
@@ -199,6 +206,8 @@ def tune(
     from taciturn_studies.tune import TunedPeriod, tune_period
 
     allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
+    if out is not None:
+        _expect_new(out)
     with answered_within(time):
         problem, on = load_changed(file, settings, no_functions), cast("Any", link)
         with progress_bar("searching") as progress:
@@ -232,8 +241,33 @@ def tune(
     best = found.best if isinstance(found, TunedPeriod) else found
     print_result(found, as_json, verbose, best.problem, unused=None if best.evaluation.drawn else seed)
     save_picture(found, plot, style, as_json, best.problem, seed or 0, best.evaluation.method)
+    if out is not None:
+        _write(best, file, out)
+        if not as_json:
+            typer.echo(f"written: {out}")
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
+
+
+def _expect_new(out: Path) -> None:
+    """Raise an error unless a problem file with this name can be written."""
+    from taciturn.errors import ProblemError
+    from taciturn.extend import check_format
+
+    check_format(out, (".toml",), "problem file")
+    if out.exists():
+        raise ProblemError(f"the file {out} already exists; expected the name of a new file: files are not overwritten")
+
+
+def _write(found: Tuned, file: str, out: Path) -> None:
+    """Write the problem file of a tuned policy."""
+    from taciturn.extend import write_whole
+    from taciturn.problem.write import tables_text
+
+    tables = {**(found.problem.source or {})}
+    policy = tables.pop("policy", {})
+    line = f"# Written by taciturn tune, from {file}: {found.goal.text(found.evaluation)}."
+    write_whole(out, f"{line}\n\n{tables_text({**tables, 'policy': policy})}".encode())
 
 
 def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] | None:

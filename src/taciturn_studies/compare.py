@@ -49,9 +49,10 @@ from taciturn.model.steps import read
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort, difference
+from taciturn.study.baseline import common_base, excess_over
 from taciturn.study.evaluate import evaluate
 from taciturn.study.evaluation import Evaluation, TimeUnit, Unit, columns_of, cost_unit, rate_unit, withdrawn_text
-from taciturn.study.sentences import THAN, more_text, percent_above, shares_text
+from taciturn.study.sentences import THAN, excess_text, percent_above, percent_text, shares_text
 from taciturn_studies.goal import RateGoal
 from taciturn_studies.periodic_links import CLOCKS, LinkClocks, clocks_document, clocks_or_reason
 from taciturn_studies.tune import Tuned, tune
@@ -150,7 +151,7 @@ def compare(
             beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
             ranking = tuple(sorted(beside, key=lambda one: one.above.value))
         clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
-        return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
+        return Comparison(level, cost_unit(found[0].tuned.problem), _every_sample(found), ranking, goal, clocks)
 
 
 def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "rate") -> dict[str, Problem]:
@@ -316,12 +317,24 @@ def _loop(one: Contestant) -> Loop | None:
     return None if loop.identity is None else loop
 
 
-def _all_time(found: Sequence[Contestant]) -> float | None:
+def _every_sample(found: Sequence[Contestant]) -> Estimate | None:
     """Return the least cost of sending every sample among the policies with the most steps per second."""
     answers = [one.tuned.evaluation for one in found]
     fastest = max(one.base_rate or 0.0 for one in answers)
-    costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
-    return min((cost for cost in costs if cost is not None), default=None)
+    costs = [one.cost_every_sample for one in answers if one.base_rate == fastest]
+    return min((cost for cost in costs if cost is not None), key=lambda cost: cost.value, default=None)
+
+
+def _excess(one: Contestant, base: Estimate | None) -> Estimate | None:
+    """Return the excess of a cost over that of every sample, with the error of a pair if the policy has this base."""
+    if base is None or base.value <= 0:
+        return None
+    here, own = one.tuned.evaluation, one.tuned.evaluation.excess
+    if base.standard_error == 0 or own is None or common_base([here.cost_every_sample, base]) is None:
+        return excess_over(one.cost, base)
+    corrected = max(one.cost.standard_error**2 - here.cost.standard_error**2, 0.0) / base.value**2
+    moved = (one.cost.value - here.cost.value) / base.value
+    return Estimate(own.value + moved, float(np.sqrt(own.standard_error**2 + corrected)), one.cost.method)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -411,13 +424,14 @@ def _notes(found: Comparison) -> Iterator[str]:
 
 def _verdict(found: Comparison, mark: str = "{}") -> Iterator[str]:
     """Yield the policy with the least cost, and the costs of the next and the last policy. ``mark`` formats names."""
-    (first, *others), base = found.ranking, found.cost_all_time
+    first, *others = found.ranking
     at = f"at {'the traffic ' if found.of == 'traffic' else ''}{found.level}"
 
     def costs(one: Contestant) -> str:
-        if not base or base <= 0:
+        excess = _excess(one, found.cost_every_sample)
+        if excess is None:
             return f"cost {one.cost} {per_unit(found.unit)}"
-        return more_text(one.cost, base, than=THAN)
+        return excess_text(excess, than=THAN)
 
     alike = [one for one in others if one.above.value <= ALIKE * one.above.standard_error]
     if alike:
@@ -458,8 +472,9 @@ class Comparison(Tabular):
             policies at the same traffic, the sum of the rates of all links, each times the price of a packet.
         unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
             instants"`` or ``"mission"``.
-        cost_all_time: least exact cost of sending every sample among the policies with the most steps per second, or
-            None if it is unknown.
+        cost_all_time: ``cost_every_sample`` if it is exact, else None.
+        cost_every_sample: least cost of sending every sample among the policies with the most steps per second, exact
+            or measured; None if it is unknown.
         ranking: the policies in the order of their costs.
         of: what is equal for all policies: the ``"rate"`` of a link, or the ``"traffic"``.
         clocks: for policies at the same traffic, fair periodic control with the best timing of each link that was found
@@ -472,16 +487,17 @@ class Comparison(Tabular):
         *plain_fields("of", "unit", "rate_unit"),
         Field("method", say="method", part="method"),
         Field("seconds", key="", say="time", text="{:.3g} s", part="method"),
-        Field("cost_all_time", say="every sample", text="{:.6g}"),
+        Field("cost_all_time"),
+        Field("cost_every_sample", json=Estimate.document, say="every sample"),
         Field("clocks", json=clocks_document, optional=True, say="periodic", text=_periodic),
         Field("ranking", lambda found: found.row_documents(), say="", text=_policies),
         Field("notes", lambda found: tuple(_notes(found)), key="", say="note"),
     )
-    heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
+    heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_every_sample", "method")
 
     rate: float
     unit: Unit
-    cost_all_time: float | None
+    cost_every_sample: Estimate | None
     ranking: tuple[Contestant, ...]
     of: str = "rate"
     clocks: LinkClocks | str | None = None
@@ -511,16 +527,28 @@ class Comparison(Tabular):
         """Text that states the common rate or traffic."""
         return f"{self.rate:.6g}{' sends' * (self.of == 'rate')} per {self.rate_unit}"
 
+    @property
+    def cost_all_time(self) -> float | None:
+        """Cost of sending every sample, if it is exact."""
+        every = self.cost_every_sample
+        return None if every is None or every.method != "exact" else every.value
+
+    @property
+    def _base(self) -> float | None:
+        """Cost of sending every sample, to which percentages refer."""
+        return None if self.cost_every_sample is None else self.cost_every_sample.value
+
     def table_rows(self) -> Sequence[Contestant]:
         """Return the rows of the table, one for each compared policy, in ascending order of the cost."""
         return self.ranking
 
     def row_fields(self) -> tuple[Field[Contestant], ...]:
         """Return the columns of the table: policy, parameter, cost and guarantee."""
-        base, limited = self.cost_all_time, any(one.violation is not None for one in self.ranking)
+        base, limited = self._base, any(one.violation is not None for one in self.ranking)
 
         def extra(one: Contestant) -> str:
-            return percent_above(one.cost, base) if base else ""
+            excess = _excess(one, self.cost_every_sample)
+            return "" if excess is None else percent_text(excess)
 
         def bound(one: Contestant) -> str:
             if one.cost_bound is None:
@@ -580,7 +608,7 @@ class Comparison(Tabular):
                 y, spread = [rows[row] for row in own], [errors[row] for row in own]
                 series.append(Series([costs[row] for row in own], y, label, "bars", spread, thing))
         bounds = [(row, one.cost_bound) for row, one in zip(rows, listed, strict=True) if one.cost_bound is not None]
-        every = [] if self.cost_all_time is None else [self.cost_all_time]
+        every = [] if self._base is None else [self._base]
         timed = [self.clocks.cost] if isinstance(self.clocks, LinkClocks) else []
         x, y = [bound for _, bound in bounds], [row for row, _ in bounds]
         series += [Series(x, y, "guarantee", "points", thing="guarantee")] if bounds else []
@@ -594,13 +622,13 @@ class Comparison(Tabular):
             f"cost {per}" if axis is None else axis.label("cost", per),
             title=next(_verdict(self, "“{}”")),
             names=[one.name for one in listed],
-            notes=[_excess(one, base) for one in listed],
+            notes=[_above_least(one, base) for one in listed],
             xabove=axis,
             row=max(ROW, LEAST / len(listed)),
         )
 
 
-def _excess(one: Contestant, base: float | None) -> str:
+def _above_least(one: Contestant, base: float | None) -> str:
     """Write for a figure by how much a cost exceeds the least one, in percent of the cost of every sample if known."""
     if not _difference(one):
         return "least"

@@ -5,7 +5,8 @@ use of the network that the cost is traded for. An answer meets its budget with 
 normally distributed errors; a value that exceeds the budget only by rounding meets it.
 
 Budgets may be given in percent (``budget_of``): 50% of the rate or of the traffic of sending every sample, or +5% above
-the cost of sending every sample.
+the cost of sending every sample (``cost_goal``). Where no theorem gives this cost, such as with limits or losses, the
+goal is the ratio of both costs, which each trial simulates on the same random numbers.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from taciturn.design.kind import TradeoffParameter
+from taciturn.design.kind import AnyPolicy, TradeoffParameter
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed, number, number_of, per_unit
+from taciturn.extend import Displayed, number, number_of, per_unit, percent
+from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.without_steps import nodes_of
+from taciturn.study.baseline import baseline_of
 from taciturn.study.evaluation import Evaluation
 
 EXACT = 1e-9  # relative tolerance of the budget, for the rounding errors of costs and rates
@@ -72,6 +75,10 @@ class Goal(Displayed, ABC):
     def use(self, evaluation: Evaluation) -> Estimate:
         """Return the rate or the traffic of an evaluated policy."""
         return self.of(evaluation)
+
+    def base(self, evaluation: Evaluation) -> float | None:
+        """Return the cost of every sample, in the unit of a limited cost; None if it is unknown."""
+        return evaluation.base
 
     def least(self, evaluation: Evaluation) -> float | None:
         """Return the least value of the limited quantity that any policy can reach; None if that value is unknown."""
@@ -211,6 +218,39 @@ class CostGoal(Goal):
 
 
 @dataclass(frozen=True, repr=False)
+class RelativeCostGoal(CostGoal):
+    """A limit on the cost, as a multiple of the measured cost of sending every sample."""
+
+    name: ClassVar[str] = "cost relative to every sample"
+
+    def short(self) -> str:
+        """Return the budget as text."""
+        return f"cost at most {percent(self.budget - 1)} above every sample"
+
+    def text(self, evaluation: Evaluation) -> str:
+        """Return the budget as text, which has no unit."""
+        return self.short()
+
+    def axis(self, evaluation: Evaluation) -> str:
+        """Return the axis label for the ratio of the costs."""
+        return "cost / cost of every sample"
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the ratio of the costs, with the error of the pair."""
+        if evaluation.excess is None:
+            raise ProblemError("the cost of sending every sample is unknown; expected a number for the cost")
+        return evaluation.excess.scaled(1.0, 1.0)
+
+    def least(self, evaluation: Evaluation) -> float | None:
+        """Return None: with limits or losses, sending less may cost less."""
+        return None
+
+    def base(self, evaluation: Evaluation) -> float | None:
+        """Return 1, the ratio of sending every sample."""
+        return 1.0
+
+
+@dataclass(frozen=True, repr=False)
 class ViolationGoal(CostGoal):
     """Limit on the fraction of steps in which states violate their limits; the search uses a logarithmic scale.
 
@@ -243,6 +283,10 @@ class ViolationGoal(CostGoal):
 
     def least(self, evaluation: Evaluation) -> float | None:
         """Return None, because the least probability that a policy can reach is unknown."""
+        return None
+
+    def base(self, evaluation: Evaluation) -> float | None:
+        """Return None, because the probability with every sample is unknown."""
         return None
 
 
@@ -281,28 +325,45 @@ def parse_budget(name: str, text: str) -> float | str:
 
 
 def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: object) -> float:
-    """Convert a budget to a number; a percentage refers to the rate, or the cost, of sending every sample."""
+    """Convert a budget to a number; a percentage refers to the rate or the traffic of sending every sample."""
     if not isinstance(budget, str):
         return number(name, budget, 0.0)
     share = _share(name, budget)
+    policy, loop = _tuned_loop(problem, tuning, name, budget)
+    if loop is None:
+        raise ProblemError(
+            f"{name} is {budget!r}, but the policy {policy.kind} has no sampling steps; expected a number"
+        )
+    links = loop.network.links
+    paid = 1.0 if name == "rate" else sum(links[link].price for link in loop.policy.scheduled)
+    return share * paid * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
+
+
+def cost_goal(problem: Problem, tuning: TradeoffParameter, budget: object, link: str | None) -> CostGoal:
+    """Return the goal of a limit on the cost; a percentage refers to the cost of sending every sample."""
+    if not isinstance(budget, str):
+        return CostGoal(number("cost", budget, 0.0), link)
+    most = 1 + _share("cost", budget)
+    policy, loop = _tuned_loop(problem, tuning, "cost", budget)
+    if loop is None or loop.nominal:
+        return CostGoal(most * policy.cost_all_time, link)
+    base = baseline_of(problem, loop)
+    if base.cost is not None:
+        return CostGoal(most * base.cost.value, link)
+    if base.loop is None:
+        unknown = f"the cost of sending every sample is unknown ({base.why})"
+        raise ProblemError(f"cost is {budget!r}, a percentage, but {unknown}; expected a number")
+    return RelativeCostGoal(most, link)
+
+
+def _tuned_loop(problem: Problem, tuning: TradeoffParameter, name: str, budget: str) -> tuple[AnyPolicy, Loop | None]:
+    """Return the policy and the loop to which a percentage refers; no loop if a policy has no steps."""
     if tuning.name == "period":
         sought = f"the {name} of sending every sample depends on the period, which is tuned"
         raise ProblemError(f"{name} is {budget!r}, a percentage, but {sought}; expected a number")
     policy = problem.changed({tuning.name: tuning.value_in(problem.parameters)}).designed()
     nodes = nodes_of(policy)
-    loop = None if nodes is None else problem.close(nodes)
-    if name != "cost":
-        if loop is None:
-            raise ProblemError(
-                f"{name} is {budget!r}, but the policy {policy.kind} has no sampling steps; expected a number"
-            )
-        links = loop.network.links
-        paid = 1.0 if name == "rate" else sum(links[link].price for link in loop.policy.scheduled)
-        return share * paid * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
-    if loop is not None and not loop.nominal:
-        unknown = f"the cost of sending every sample is unknown, since {loop.violated_assumptions[0]}"
-        raise ProblemError(f"cost is {budget!r}, a percentage, but {unknown}; expected a number")
-    return (1 + share) * policy.cost_all_time
+    return policy, None if nodes is None else problem.close(nodes)
 
 
 def _share(name: str, text: str) -> float:

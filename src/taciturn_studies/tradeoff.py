@@ -33,6 +33,7 @@ from taciturn.model.result import SPLICED, VERDICT, Field, Result, Tabular, plai
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort
+from taciturn.study.baseline import common_base
 from taciturn.study.evaluate import SURE
 from taciturn.study.evaluation import (
     Evaluation,
@@ -49,6 +50,7 @@ from taciturn.study.record import Store
 from taciturn.study.sentences import (
     THAN,
     percent_above,
+    percent_text,
     share_of,
     share_text,
     together,
@@ -213,12 +215,10 @@ def _curves_document(curves: Mapping[ClockKind, Sequence[ClockPoint]]) -> dict[s
 def _every_sample(found: Tradeoff) -> str:
     """Return the cost of sending every sample, and the packets of all links."""
     first, links = found.points[0].evaluation, len(found.links)
-    if not found.one_base:
-        return ""
-    if first.base_rate is None:
-        return f"{first.cost_all_time:.6g}"
+    if found.base is None or first.base_rate is None:
+        return "" if found.base is None else str(found.base)
     sends = number_of(f"{links * first.base_rate:.4g}", "send")
-    return f"{first.cost_all_time:.6g} at {sends} per {first.rate_unit}{f' on {links} links' if links > 1 else ''}"
+    return f"{found.base} at {sends} per {first.rate_unit}{f' on {links} links' if links > 1 else ''}"
 
 
 def _notes(found: Tradeoff) -> Iterator[str]:
@@ -273,7 +273,7 @@ class Tradeoff(Tabular):
         Field("method", say="method", part="method"),
         Field("seconds", key="", say="time", text="{:.3g} s", part="method"),
         Field("every sample", key="", say="every sample", text=_every_sample),
-        Field("guarantee", say="guarantee", text=lambda found: (found.one_base and found.guarantee) or ""),
+        Field("guarantee", say="guarantee", text=lambda found: found.guarantee or "" if found.base is not None else ""),
         Field("notes", lambda found: tuple(_notes(found)), key="", say="note"),
     )
     heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
@@ -321,9 +321,9 @@ class Tradeoff(Tabular):
         return len({(one.evaluation.base_rate, one.evaluation.cost_all_time) for one in self.points}) == 1
 
     @property
-    def one_base(self) -> bool:
-        """Whether the cost of sending every sample is known and the same at all points."""
-        return len(costs := {one.evaluation.cost_all_time for one in self.points}) == 1 and None not in costs
+    def base(self) -> Estimate | None:
+        """Cost of sending every sample, if it is known and the same at all points: exact or measured."""
+        return common_base([one.evaluation.cost_every_sample for one in self.points])
 
     @property
     def labels(self) -> int:
@@ -360,14 +360,14 @@ class Tradeoff(Tabular):
             )
 
         def extra(point: Point) -> str:
-            base = point.evaluation.cost_all_time
-            return percent_above(point.evaluation.cost, base) if base else ""
+            excess = point.evaluation.excess
+            return "" if excess is None else percent_text(excess)
 
         def above(cost: Callable[[Point], Estimate | float | None], up: int = 0) -> Callable[[Point], str]:
             """Return a function that formats a cost or bound, relative to the cost of every sample if that is known."""
 
             def text(point: Point) -> str:
-                found, base = cost(point), point.evaluation.cost_all_time
+                found, base = cost(point), point.evaluation.base
                 if found is None:
                     return "none"
                 known = found if isinstance(found, Estimate) else Estimate(found, 0.0, "exact")

@@ -30,7 +30,7 @@ from taciturn.extend import (
 )
 from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.periodic import UNSTABLE
-from taciturn.study.sentences import compared_text, more_text
+from taciturn.study.sentences import more_text
 from taciturn_studies.periodic_links import CLOCKS
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def panels_of(found: Tradeoff) -> list[Panel]:
     answers = [point.evaluation for point in found.points]
     links = list(dict.fromkeys(link for one in answers for link in one.rates))
     rates = [_traffic(one) for one in answers]
-    pace = _pace(answers[0]) if found.one_base else None
+    pace = _pace(answers[0]) if found.base is not None else None
     limits = _limits([*rates, *([] if pace is None else [pace])])
     wide = min(rates) > 0 and max(rates) > WIDE * min(rates)
     shared: dict[str, Any] = {"xlog": wide, "xlim": None if wide else limits}
@@ -92,7 +92,7 @@ def _label(found: Tradeoff, links: Sequence[str]) -> str:
 def _costs(found: Tradeoff, label: str, shared: dict[str, Any]) -> Panel:
     """Return the panel of the costs."""
     answers = [point.evaluation for point in found.points]
-    base = answers[0].cost_all_time if found.one_base else None
+    base = None if found.base is None else found.base.value
     every, pace = [] if base is None else [base], _pace(answers[0])
     told = _told(found)
     series = [*_policies(found, told), *_periodic(found), *_bounds(found)]
@@ -127,10 +127,13 @@ def _sure(found: Tradeoff) -> list[Point]:
 
 def _told(found: Tradeoff) -> Point | None:
     """Return the point with the least traffic that costs little more than sending every sample."""
-    base = found.points[0].evaluation.cost_all_time
-    if not found.one_base or base is None or base <= 0:
+    if found.base is None or found.base.value <= 0:
         return None
-    near = [point for point in _sure(found) if -LITTLE <= point.evaluation.cost.value / base - 1 <= LITTLE]
+    near = [
+        point
+        for point in _sure(found)
+        if (excess := point.evaluation.excess) is not None and -LITTLE <= excess.value <= LITTLE
+    ]
     return min(near, key=lambda point: _traffic(point.evaluation), default=None)
 
 
@@ -140,9 +143,9 @@ def _headline(found: Tradeoff, told: Point | None) -> str:
         listed = sorted((point.evaluation for point in _sure(found)), key=_traffic)
         ends = [f"{packets_text(one.rates, one)}, {cost_text(one, '')}" for one in (*listed[1:][-1:], *listed[:1])]
         return f"from {' to '.join(ends)}" if len(ends) > 1 else "".join(ends)
-    one, base = told.evaluation, told.evaluation.cost_all_time
+    one, base = told.evaluation, told.evaluation.base
     assert base is not None, "the point costs little more than every sample"
-    text = f"{packets_text(one.rates, one)}, {compared_text(one.cost, base, '')}"
+    text = f"{packets_text(one.rates, one)}, {cost_text(one, '')}"
     clock = told.same_traffic or one.periodic
     return text if clock is None else f"{text}; with periodic control {more_text(clock, base)}"
 

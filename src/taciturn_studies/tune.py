@@ -41,6 +41,7 @@ from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.policy import Policy
 from taciturn.model.result import SPLICED, VERDICT, Field, Part, Result, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
@@ -49,8 +50,18 @@ from taciturn.study.evaluate import evaluate, with_violations, with_written
 from taciturn.study.evaluation import Evaluation, cost_text, packets_text
 from taciturn.study.measure import Request
 from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
-from taciturn.study.sentences import THAN, percent_above, shares_text
-from taciturn_studies.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
+from taciturn.study.sentences import THAN, percent_text, shares_text
+from taciturn_studies.goal import (
+    EXACT,
+    Goal,
+    RateGoal,
+    RatesGoal,
+    RelativeCostGoal,
+    TrafficGoal,
+    ViolationGoal,
+    budget_of,
+    cost_goal,
+)
 from taciturn_studies.search import Attempt, Search
 from taciturn_studies.shares import Division
 
@@ -99,7 +110,8 @@ def tune(
         rate: largest rate, in sends per step or per second, or ``"50%"`` of the rate of sending every sample; the
             answer is as close to this limit as possible. Or largest rates of several links by name.
         cost: largest cost, per step, per second or per finite-horizon run, or ``"+5%"`` above the cost of sending every
-            sample; the answer is as close to this limit as possible.
+            sample (with limits, losses or another plant: as simulated on the same random numbers); the answer is as
+            close to this limit as possible.
         traffic: largest sum of the rates of all links, each times the price of a packet (``price`` of the link), or
             ``"50%"`` of that of sending every sample.
         violation: largest share of the steps in which limits of the states are violated, for a problem with limits; the
@@ -133,7 +145,7 @@ def tune(
             ((link, rate),) = rate.items()
         tuning = _tuning(problem, link)
         goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
-        bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
+        bar, divided = Stages(in_notebook(progress)), _divides(problem, tuning, goal, link)
         if divided:
             Search(problem, tuning, goal, seed, None).expect_start()
             problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
@@ -201,13 +213,13 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
             )
         limits = cast("Mapping[str, object]", budget)
         return RatesGoal(limits={one: budget_of(problem, tuning, "rate", limit) for one, limit in limits.items()})
+    if name == "cost":
+        return cost_goal(problem, tuning, budget, link or tuning.link)
     limit = budget_of(problem, tuning, name, budget)
-    if name == "traffic":
-        return TrafficGoal(limit)
-    return (RateGoal if name == "rate" else CostGoal)(limit, link or tuning.link)
+    return TrafficGoal(limit) if name == "traffic" else RateGoal(limit, link or tuning.link)
 
 
-def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
+def _divides(problem: Problem, tuning: TradeoffParameter, goal: Goal, link: str | None) -> bool:
     """Return whether the shares of several links are to be tuned."""
     name = problem.record.shares
     stated = name is None or name in problem.parameters
@@ -224,7 +236,14 @@ def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
         and link is None
         and not isinstance(goal, RateGoal | ViolationGoal)
         and len(problem.network.links) > 1
+        and _decides_on_several(problem.changed({tuning.name: tuning.value_in(problem.parameters)}))
     )
+
+
+def _decides_on_several(problem: Problem) -> bool:
+    """Return whether a policy decides on several links: with a given controller, a kind may decide on one only."""
+    policy = problem.designed()
+    return isinstance(policy, Policy) and len(policy.scheduled) > 1
 
 
 def _found(
@@ -234,7 +253,7 @@ def _found(
     search = Search(problem, tuning, goal, seed, bar, standard_error)
     if (
         tuning.cycles
-        and not isinstance(goal, ViolationGoal)
+        and not isinstance(goal, ViolationGoal | RelativeCostGoal)
         and (cycles := _next_to(problem, tuning, goal, search)) is not None
     ):
         return cycles
@@ -382,7 +401,7 @@ def tune_period(
 
 def _gains(before: Tuned, after: Tuned) -> bool:
     """Return whether the last halving of the period lowered the cost enough to halve it again."""
-    cost, base = after.evaluation.cost, after.evaluation.cost_all_time
+    cost, base = after.evaluation.cost, after.evaluation.base
     above = cost.value - (0.0 if base is None else base)
     return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)
 
@@ -540,8 +559,9 @@ class Tuned(Tabular):
         ]
         cost = cost_text(found, THAN)
         title = f"{symbol(self.parameter.name)} = {value:.4g}: {packets_text(found.rates, found)}, {cost}"
-        every = [] if found.cost_all_time is None else [Level(found.cost_all_time, "every sample")]
         first = self.goal.limits_cost  # the panel that has the costs
+        base = self.goal.base(found) if first else found.base
+        every = [] if base is None else [Level(base, "every sample")]
         budget = Level(self.goal.budget, f"budget {self.goal.budget:.4g}", "threshold")
         panels = (
             Panel(limited, "", self.goal.axis(found), title, levels=[*(every if first else ()), budget]),
@@ -580,8 +600,7 @@ def _budget_text(found: Tuned) -> str:
     where = "" if written is None else ", for the plant with the disturbance that is added by default"
     if written is not None and found.goal.limits_cost:
         where += f"; on the plant as written, the cost is {written.cost}"
-        base = written.cost_all_time
-        where += f", {percent_above(written.cost, base)} relative to every sample" if base else ""
+        where += "" if written.excess is None else f", {percent_text(written.excess)} relative to every sample"
     return f"{_kept(found)}{where}"
 
 
@@ -645,7 +664,7 @@ class TunedPeriod(Tabular):
         """Plot the cost for each sampling period, at the same send rate."""
         periods = [_period(one) for one in self.tried]
         found = [one.evaluation for one in self.tried]
-        costs, base = [one.cost.value for one in found], [one.cost_all_time for one in found]
+        costs, base = [one.cost.value for one in found], [one.base for one in found]
         errors, name = [one.cost.standard_error for one in found], self.best.parameter.name
         notes = [f"{symbol(name)} = {one.parameter.beside(None)}" for one in self.tried]
         series = [Series(periods, costs, self.best.evaluation.policy, error=errors, thing="policy", notes=notes)]

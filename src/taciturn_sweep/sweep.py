@@ -199,11 +199,14 @@ def _as_float(value: object) -> object:
     return float(value) + 0.0
 
 
+UNKNOWN = Estimate(float("nan"), float("nan"), "simulation")
 COST, SENDS = "cost {of.per}", "sends per {of.rate_unit}"
 COLUMNS: tuple[Field[Evaluation], ...] = (
     *(Field(f"cost{part}", f"cost.{part[1:] or 'value'}", unit=COST) for part in ("", "_standard_error", "_error")),
     Field("cost_method", "cost.method"),
     *(Field(name, unit=COST) for name in ("cost_all_time", "cost_bound", "cost_bound_at_rate")),
+    Field("cost_every_sample", lambda found: found.cost_every_sample or UNKNOWN, unit=COST),
+    Field("excess_percent", lambda found: UNKNOWN if found.excess is None else found.excess.scaled(100.0), unit="%"),
     *(Field(f"linearisation_{name}", f"linearisation.{name}", unit=COST) for name in ("cost_all_time", "cost_bound")),
     Field("cost_periodic_same_rate", unit=COST),
     Field("cost_lower_bound", "lower_bound.cost", unit=COST),

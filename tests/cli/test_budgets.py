@@ -35,6 +35,19 @@ def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
     assert any(line.startswith("this policy") and (" 0.3" in line or " 0.29" in line) for line in lines)
 
 
+def test_tune_writes_the_tuned_problem(run: Run, tmp_path: Path) -> None:
+    """A new file, whose evaluation is the answer; it is not overwritten, and its name ends as those of such files."""
+    out = tmp_path / "tuned.toml"
+    arguments = ["tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3", "--out"]
+    assert f"written: {out}" in run(*arguments, str(out)).unwrapped
+    assert out.read_text(encoding="utf-8").startswith("# Written by taciturn tune, from ")
+    written = taciturn.load(out)
+    assert written.parameters["every"] == [4, 3]
+    assert taciturn.evaluate(written).rates["actuator"].value == 2 / 7
+    assert "already exists; expected the name of a new file" in run(*arguments, str(out)).sentence
+    assert run(*arguments, str(tmp_path / "tuned.svg")).code == 2
+
+
 def test_budgets_in_percent_are_of_sending_always(run: Run, tmp_path: Path) -> None:
     """A quarter of the steps; at most 12.5 % more."""
     file = with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2')

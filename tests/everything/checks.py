@@ -301,8 +301,9 @@ def compare(
     model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
-    if world is not model or (world.loads is not None and (world.loads.values.size or not world.average)):
-        twin = None
+    other = world is not model or (world.loads is not None and (world.loads.values.size or not world.average))
+    if other and twin is not None:
+        twin.exact = None
     paths, steps = PATHS * (4 if longer > 1 else 1), OWN_STEPS * (4 if longer > 1 else 1)
     if not model.average:
         paths, steps = paths * 8, OWN_STEPS
@@ -329,6 +330,11 @@ def compare(
         add("base of this simulation itself", own.base_found, own.base, 0.0)
         if found.cost_all_time is not None:
             add("cost_all_time", (own.base, 0.0), found.cost_all_time, tolerance * abs(own.base))
+    if own.excess is not None and found.excess is not None:  # exact, or simulated by the library on the same noise too
+        theirs = found.excess.value
+        add(
+            "excess", own.excess, theirs, found.excess.standard_error + found.excess.error + tolerance * abs(1 + theirs)
+        )
     for link, rate in found.rates.items():
         if link in own.rates:
             value, error = own.rates[link]

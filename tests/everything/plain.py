@@ -656,6 +656,9 @@ class Answer:
     rates: Mapping[str, tuple[float, float]]
     base: float | None = None
     base_found: tuple[float, float] | None = None
+    excess: tuple[float, float] | None = (
+        None  # of the cost over that of a twin on the same noise, whatever the world is
+    )
 
 
 class World:
@@ -762,12 +765,21 @@ def simulate(
     share = {True: steps, False: 1 / (1 - model.discount) if model.discount < 1 else steps}[model.average]
     pace = model.seconds if model.continuous and model.average else model.seconds if model.continuous else 1.0
     rates = {link: mean_of(flags / share / pace) for link, flags in sent.items()}
+    excess = None if twin is None else excess_of(totals[0] / scale, totals[1] / scale)
     if twin is None or twin.exact is None:
-        return Answer(mean_of(totals[0] / scale), rates)
+        return Answer(mean_of(totals[0] / scale), rates, excess=excess)
     exact = twin.exact / (model.seconds if model.average else 1.0)
     assert model.loads is None or not (model.loads.push.any() or model.loads.seen.any())
     differences = mean_of((totals[0] - totals[1]) / scale)
-    return Answer((exact + differences[0], differences[1]), rates, exact, mean_of(totals[1] / scale))
+    return Answer((exact + differences[0], differences[1]), rates, exact, mean_of(totals[1] / scale), excess)
+
+
+def excess_of(costs: Array, others: Array) -> tuple[float, float] | None:
+    """Return by which share the mean of costs exceeds that of others, with the error of the pairs."""
+    if not others.mean() > 0:
+        return None
+    ratio = float(costs.mean() / others.mean())
+    return ratio - 1.0, mean_of(costs - ratio * others)[1] / float(others.mean())
 
 
 def mean_of(values: Array) -> tuple[float, float]:

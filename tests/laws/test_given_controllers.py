@@ -18,7 +18,7 @@ from taciturn import PID, Controller, Cost, Disturbance, Loop, Network, Plant, P
 from taciturn.base.given_controller import REMEDY, lqg_observer
 from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import advantage
-from taciturn.design.at_fixed_steps import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import send_at_fixed_steps, sending_always
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
@@ -26,7 +26,6 @@ from taciturn.program.engine import prepare
 from taciturn.program.numpy import run
 from taciturn.program.ops import Option, Sent
 from taciturn.simulation.average import average
-from taciturn.study.further_loops import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
@@ -423,7 +422,7 @@ def test_the_loop_with_every_sample_is_that_of_excess_at_no_cost_of_silence(link
     always = send_at_fixed_steps("every sample", TANK, cost, None, KEPT, link)
     assert always.cost_all_time == pytest.approx(deciding.cost_all_time, rel=1e-12)
     path, other = (
-        taciturn.simulate(taciturn.close(TANK, one, cost=cost), 30) for one in (always, sends_every_sample(deciding))
+        taciturn.simulate(taciturn.close(TANK, one, cost=cost), 30) for one in (always, sending_always(deciding))
     )
     assert np.abs(path.input - other.input).max() < 1e-12
     assert np.abs(path.state - other.state).max() < 1e-12

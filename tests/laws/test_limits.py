@@ -19,6 +19,7 @@ from systems import System, systems
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, Reference, close, design
+from taciturn.design.at_fixed_steps import sending_always
 from taciturn.errors import TaciturnError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.disturbance import follow
@@ -27,7 +28,6 @@ from taciturn.model.signals import ExternalDisturbance, Timetable
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.ops import Entry
-from taciturn.study.further_loops import sends_every_sample
 from taciturn_export.folder import print_folder
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -233,7 +233,7 @@ def test_a_filter_that_is_told_what_was_applied_is_that_of_a_plant_with_this_lim
         "distributed": lambda plant: design.distributed(plant, COST, theta=0.0),
         "remote": lambda plant: design.remote_lqg(plant, COST, theta=0.0, zeta=0.0),
     }
-    make = build.get(name, lambda plant: sends_every_sample(design.excess(plant, COST, delta=0.0, controller=pid)))
+    make = build.get(name, lambda plant: sending_always(design.excess(plant, COST, delta=0.0, controller=pid)))
     plant = Plant(PLANT.A, PLANT.B, PLANT.W, PLANT.C, PLANT.V, dt=0.1)
     knows, told = (Nodes(make(one)) for one in (limited(plant, input_limit=[limit]), plant))
     draws, applied = np.random.default_rng(2).normal(0.0, 0.5, (ticks, 1)), None

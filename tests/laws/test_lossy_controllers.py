@@ -14,6 +14,7 @@ from taciturn import PID, Burst, Controller, Cost, Disturbance, Network, Plant, 
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.route import actuator_base, sensor_base
 from taciturn.base.value import Attempts, Base, advantage, critical_scale
+from taciturn.design.at_fixed_steps import sending_always
 from taciturn.design.silence import ChannelBelief
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
@@ -22,7 +23,6 @@ from taciturn.program.engine import prepare
 from taciturn.program.numpy import run
 from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.further_loops import sends_every_sample
 
 PLANT = Plant([[1.02, 0.1], [0, 0.98]], [[0.005], [0.1]], np.diag([0.001, 0.01]), [[1, 0]], [[0.05]])
 WEIGHTS = Cost(np.diag([1.0, 0.1]), [[0.1]])
@@ -153,7 +153,7 @@ def test_above_the_critical_loss_the_mean_square_grows() -> None:
     plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])
     base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
     critical = 0.1 * critical_scale(base, Attempts(losses=np.array([0.1])))
-    usual = sends_every_sample(design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=0.01)))
+    usual = sending_always(design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=0.01)))
     growth = {}
     for factor in (0.8, 1.25):
         loop = taciturn.close(plant, usual, Network("tcp", actuator_loss=factor * critical))

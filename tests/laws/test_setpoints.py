@@ -14,10 +14,10 @@ from runtime.loops import differing_ticks, record
 import taciturn
 from taciturn import PID, Cost, Network, Plant, ProblemError, design
 from taciturn.base.given_controller import cost_as_now
+from taciturn.design.at_fixed_steps import sending_always
 from taciturn.program.numpy import run
 from taciturn.program.ops import Entry
 from taciturn.simulation.average import average
-from taciturn.study.further_loops import sends_every_sample
 
 STABLE = Plant([[0.5]], [[1.0]], [[1.0]], dt=1.0)
 QUIET = 1e-18  # noise that leaves eight digits of a path
@@ -58,7 +58,7 @@ def test_a_step_of_the_set_point_is_that_of_a_textbook(of: tuple[str, dict[str, 
     noise, limits = QUIET * np.eye(2), None if np.isinf(limit) else [limit]
     plant = Plant(TANK.A, TANK.B, noise, TANK.C, [[QUIET]], STEP, input_limit=limits)
     pid = replace(KEPT, setpoint=2.0, **changes)
-    policy = sends_every_sample(design.excess(plant, WEIGHTS, delta=0.0, controller=pid, link=link))
+    policy = sending_always(design.excess(plant, WEIGHTS, delta=0.0, controller=pid, link=link))
     loop = taciturn.close(plant, policy).in_units
     program = loop.program()
     found = run(program, loop.start(program, 1, 0), 300).outputs[Entry("y", 0)][:, 0]

@@ -18,13 +18,13 @@ from taciturn.base.certainty import design_certainty
 from taciturn.base.gains import price_control
 from taciturn.base.route import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.base.value import Attempts, Base, advantage, cost_of_one_packet, critical_scale
+from taciturn.design.at_fixed_steps import sending_always
 from taciturn.design.prediction import predict_continuously
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.further_loops import sends_every_sample
 
 ACTUATIONS = ("hold", "model", "zero")
 
@@ -216,9 +216,9 @@ def test_the_cost_of_every_sample_is_that_of_a_simulation_that_always_sends(seed
         try:
             policy = design.excess(plant, cost, theta=0.3, **options)
             if options["controller"] is None:
-                always = sends_every_sample(design.excess(plant, cost, theta=0.3, **{**options, "every": 1}))
+                always = sending_always(design.excess(plant, cost, theta=0.3, **{**options, "every": 1}))
             else:
-                always = sends_every_sample(policy)
+                always = sending_always(policy)
         except UnstableError:  # with so few packets, or such losses
             continue
         if policy.theory.fourth is not None and policy.theory.fourth > 0.8:  # no error of the mean

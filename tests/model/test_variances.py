@@ -10,8 +10,8 @@ import pytest
 import taciturn
 from taciturn import PID, Cost, Disturbance, Plant, ProblemError, design
 from taciturn.base.given_controller import cost_as_now
+from taciturn.design.at_fixed_steps import sending_always
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.further_loops import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
@@ -48,7 +48,7 @@ def test_the_present_loop_weighs_its_variances_equally() -> None:
     cost = cost_as_now(TANK, KEPT)
     policy = design.excess(TANK, cost, theta=0.1, controller=KEPT)
     assert policy.cost_all_time == pytest.approx(2.0, rel=1e-9)
-    always = taciturn.close(TANK, sends_every_sample(policy))
+    always = taciturn.close(TANK, sending_always(policy))
     run = simulate(always, steps=20_000, seed=1)
     x, u = np.asarray(run.state)[2000:], np.asarray(run.input)[2000:]
     assert np.var(x[:, 0]) * cost.Q[0, 0] == pytest.approx(1.0, rel=0.15)

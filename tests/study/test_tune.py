@@ -122,11 +122,6 @@ def test_percent_are_of_sending_always() -> None:
             "of sending every sample depends on the period, which is tuned; expected a number",
         ),
         (
-            taciturn.load("pendulum-on-a-cart"),
-            {"cost": "+5%"},
-            "the cost of sending every sample is unknown, since the plant is not linear",
-        ),
-        (
             with_policy("integral", JUMPS, period=None, slope=5.0, alpha=0.9),
             {"rate": "5%"},
             "integral has no sampling steps",

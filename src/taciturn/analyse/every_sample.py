@@ -16,6 +16,9 @@ without bias, whatever the loop does: J_every is exact for the very program that
 the coefficient 1). If a loop sends every sample, the difference is 0. In long runs, the coefficient is fitted, together
 with those of other control variates (``program.draws``).
 
+A third loop may run on these numbers: the same nodes, which send every sample over the links and through the limits of
+the loop itself (``join``). Its cost has no formula, but the difference of the costs has the error of a pair.
+
 The polynomials of the program (``program.quadratic``) give F, G and M. Memories that a packet in every step keeps at
 their first value, such as the time since the last packet, are constants. There is no such system over a horizon, with
 set-points that change at known times, with matrices that change with time, or if a function of the policy is not linear
@@ -26,7 +29,7 @@ Source: henderson2002
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -53,6 +56,8 @@ from taciturn.program.translation import TimeStep
 
 MORE = "more than every sample"  # the sum of the differences of the stage costs
 EVERY = "{} with every sample"  # the names of the states of the loop that sends every sample
+OVER = "more than the baseline"  # the sum of the differences of the stage costs of a loop and of its baseline
+BASELINE = "{} of the baseline"  # the names of the states of the baseline
 LESS = Control(-1, -1)  # control variate: the mean of the stage cost with every sample, minus this stage cost
 EXACT = 1e-9  # largest relative effect of rounding on a cost that counts as exact
 CANCELLED, ROUNDINGS = 4.0, 8.0  # ratio of terms to their sum from which on they cancel; rounding errors of such a sum
@@ -68,8 +73,11 @@ class WithEverySample(Displayed):
     settling: float  # its time constant in steps
 
 
-def with_every_sample(loop: Loop) -> WithEverySample | None:
-    """Return a loop and the loop that sends every sample, or None if the cost of that loop is not known."""
+def with_every_sample(loop: Loop, baseline: Loop | None = None) -> WithEverySample | None:
+    """Return a loop and the loop that sends every sample, or None if the cost of that loop is not known.
+
+    A ``baseline`` is a third loop in the program.
+    """
     always = attempt_of(loop.policy)
     plant = loop.problem.plant
     known = loop.horizon is None and plant.function is None and loop.problem.loads is None
@@ -86,11 +94,26 @@ def with_every_sample(loop: Loop) -> WithEverySample | None:
         return None
     cost, slowest = found
     every = _program(loop, always, kept)
-    names = [replace(state, name=EVERY.format(state.name)) for state in every.states]
     sums: dict[Name, tuple[Name | None, Name, float]] = {MORE: (COST, COST, 0.0), LESS: (None, COST, cost)}
     own = with_controls(loop.whole_program())  # products of the states of the other loop would double the work
-    whole = joined(own, replace(every, states=tuple(names)), sums)
+    whole = join(joined(own, _renamed(every, EVERY), sums), baseline)
     return WithEverySample(with_draws(whole), cost, 1 / (1 - slowest))
+
+
+def join(program: Program, baseline: Loop | None, states: Set[str] = frozenset()) -> Program:
+    """Add a baseline, if there is one, to the program of a loop, whose random numbers are inputs, with the sum OVER.
+
+    The ``states`` of the baseline are kept, whether or not its cost depends on them.
+    """
+    if baseline is None:
+        return program
+    other = baseline.whole_program().keep({COST}, states=states)
+    return joined(program, _renamed(other, BASELINE), {OVER: (COST, COST, 0.0)})
+
+
+def _renamed(program: Program, form: str) -> Program:
+    """Return a program whose states have other names."""
+    return replace(program, states=tuple(replace(state, name=form.format(state.name)) for state in program.states))
 
 
 def _program(loop: Loop, case: Case, kept: Mapping[Entry, float], supplied: bool = False) -> Program:

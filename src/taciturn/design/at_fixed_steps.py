@@ -10,7 +10,8 @@ is data: a constant that a step counter reads from a table, negative in the step
   innovations, with the covariance V_k, and its input costs tr(L'HL V_k) more than the best one (``predicted_cost``).
 * A given controller sends every sample, or at the intervals of a cycle; its cost is that of its base
   (``send_at_fixed_steps``).
-* ``same_nodes`` are the nodes of any policy, whose packets a timetable sends in place of their decisions.
+* ``same_nodes`` are the nodes of any policy, whose packets a timetable sends in place of their decisions; with
+  ``sending_always`` they send at every step.
 * ``innovation_at_queries`` has the steps of a sensor that is read by a schedule, and of the filter that hears it.
 
 Source: astrom1997computer, bengaid2006
@@ -39,7 +40,7 @@ from taciturn.model.coverage import THEORY
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.signals import SampledChanges
-from taciturn.model.steps import Assign, Decide, Location, Received, Send, Step
+from taciturn.model.steps import Assign, Decide, Draw, Evaluate, Location, Received, Send, Step, assigned, read
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
@@ -169,15 +170,58 @@ def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:
         options = [{one.link for one in mine if label in one.sending(labels)} for label in labels]
         wanted = [{one.link for one in mine if sends[one.link][k]} for k in range(length)]
         chosen = np.array([min(range(len(labels)), key=lambda i: _missed(options[i], here)) for here in wanted])
+        turns = [np.where(chosen == i, -1.0, 1.0) for i in range(len(labels))]
         forms = {
-            label: Form(constant=Scheduled(TIMETABLE, np.where(chosen == i, -1.0, 1.0)))
-            for i, label in enumerate(labels)
+            label: Form(constant=Scheduled(TIMETABLE, turn) if length > 1 else float(turn[0]))
+            for label, turn in zip(labels, turns, strict=True)
         }
         steps.append(Decide(step.at, step.decision, Trigger(forms)))
     known = policy.theory
-    theory = Theory(known.cost, known.cost_all_time, known.noise_cost, known.settling, sums=known.sums)
-    counter = Location(TIMETABLE, np.roll(np.arange(length), -1))
-    return replace(policy, steps=tuple(steps), theory=theory, locations=(*policy.locations, counter), notes=())
+    theory = Theory(
+        known.cost, known.cost_all_time, known.noise_cost, known.settling, sums=known.sums, recovery=known.recovery
+    )
+    counter = () if length == 1 else (Location(TIMETABLE, np.roll(np.arange(length), -1)),)
+    return replace(policy, steps=tuple(steps), theory=theory, locations=(*policy.locations, *counter), notes=())
+
+
+def sending_always(policy: Policy) -> Policy:
+    """Return the policy whose nodes send in every step. Limits on send intervals have no effect on them."""
+    links = {step.link for step in policy.steps if isinstance(step, Send)}
+    always = same_nodes(policy, {link: np.ones(1, dtype=np.bool_) for link in sorted(links)})
+    return replace(always, steps=_without_unread(always.steps), network=policy.network.unlimited)
+
+
+def _without_unread(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """Return policy steps without stored quadratic forms and random numbers that only decisions have read."""
+    stored = {step.signal for step in steps if isinstance(step, Evaluate | Draw)}
+    unread = {name for name in stored if all({*assigned(step)} == {name} for step in steps if name in read(step))}
+    kept = tuple(step for step in steps if unread.isdisjoint(assigned(step)))
+    return kept if len(kept) == len(steps) else _without_unread(kept)
+
+
+def decides(policy: Policy) -> bool:
+    """Return whether a decision to send depends on signals."""
+    on = {str(step.on) for step in policy.steps if isinstance(step, Send) and step.on is not None}
+    return any(policy.decisions[name].reads for name in on)
+
+
+def sends_always(policy: Policy) -> bool:
+    """Return whether a policy whose decisions depend on no signal sends in every step."""
+    return all(
+        _always(policy.decisions[str(step.on)], step)
+        for step in policy.steps
+        if isinstance(step, Send) and step.on is not None
+    )
+
+
+def _always(trigger: Trigger, step: Send) -> bool:
+    """Return whether constant forms always select a label with which a packet is sent."""
+    if trigger.reads or trigger.limit is not None or trigger.excluded:
+        return False
+    constants = [form.constant for form in trigger.options.values()]
+    rows = np.broadcast_arrays(*(one.values if isinstance(one, Scheduled) else one for one in constants))
+    sending = step.sending(trigger.labels)
+    return all(trigger.labels[place] in sending for place in np.unique(np.argmin(rows, axis=0)))
 
 
 def _missed(option: Set[str], wanted: Set[str]) -> tuple[int, int]:

@@ -17,8 +17,8 @@ Read the modules in this order:
 1. ``plant``, ``dynamics``, ``cost``, ``controller``, ``network``, ``link``, ``losses``: the problem. ``signals``:
    disturbances and set-points, ``load``: loads; ``disturbance`` joins them to a plant. ``operating_point``,
    ``saturation``, ``limits``: the point from which a plant counts, limits of its inputs, and limits of its states that
-   are watched. ``names``: of its states, inputs and outputs. ``noise``: W and V by the amplitudes of the noise at inputs
-   and outputs.
+   are watched. ``names``: of its states, inputs and outputs. ``noise``: W and V by the amplitudes of the noise at
+   inputs and outputs.
    ``state_space``: plants from other libraries. ``key``: what a field states as a key of a problem file.
 2. ``trigger``: quadratic forms, and tables that a discrete state selects.
 3. ``steps``: the policy steps, and discrete states with their cycle.

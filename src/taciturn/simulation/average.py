@@ -12,7 +12,8 @@ with the plain average, and the smaller standard error decides.
 A loop without an identity is simulated together with the loop that sends every sample, on the same random numbers, if
 the cost of the latter is known exactly (``analyse.every_sample``). The mean of the difference of their stage costs is
 added to this cost. The same first windows tell the error of the plain average, which is used if it needs less work for
-an error.
+an error. A baseline, such as the loop that sends every sample through the same limits and losses, may run on the same
+random numbers too; the excess over it then has the error of the pair (``sampling``).
 
 A loop without a horizon is simulated in stationary operation, in windows of steps until the standard error is reached
 (``sampling``); over a horizon, runs are repeated. Two loops are compared with the same noise on each path, so that
@@ -31,10 +32,11 @@ import numpy as np
 
 from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress, in_notebook
-from taciturn.analyse.every_sample import MORE, with_every_sample
+from taciturn.analyse.every_sample import BASELINE, MORE, OVER, join, with_every_sample
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.model.estimate import Estimate
+from taciturn.program.draws import with_controls, with_draws
 from taciturn.simulation.reliability import (
     doubt_errors,
     doubt_moments,
@@ -75,6 +77,7 @@ def average(
     steps: int | None = None,
     progress: Progress | None = None,
     threads: int | None = None,
+    baseline: Loop | None = None,
 ) -> Averages:
     """Estimate average cost and send rates of a loop, in stationary operation or over a finite horizon.
 
@@ -91,6 +94,8 @@ def average(
         steps: total number of steps to simulate, over all paths, instead of a standard error.
         progress: callback that receives the fraction done.
         threads: number of threads, at least 1; default: all processors.
+        baseline: another loop, such as one that sends every sample, that runs on the same random numbers; the
+            ``excess`` of the result over it has the standard error of this pair.
 
     Returns:
         Cost and rates, per second for a continuous plant and per step for a discrete one, as in ``evaluate``;
@@ -101,9 +106,8 @@ def average(
         ProblemError: a budget, a standard error or a number of threads is not positive.
         UnstableError: the loop diverges, or a link drops every packet and the plant does not come to rest by itself.
     """
-    return _per_unit(
-        loop, Averaging(loop, estimator, seed, standard_error, steps, in_notebook(progress), threads).finish()
-    )
+    told = in_notebook(progress)
+    return _per_unit(loop, Averaging(loop, estimator, seed, standard_error, steps, told, threads, baseline).finish())
 
 
 def difference(
@@ -183,14 +187,15 @@ class Averaging:
         steps: int | None = None,
         progress: Progress | None = None,
         threads: int | None = None,
+        baseline: Loop | None = None,
     ) -> None:
         """Choose the estimator; nothing is run yet."""
         instance("loop", loop, Loop)
         if estimator is not None:
             instance("estimator", estimator, Estimator)
-        self.loop, self.chosen = loop, estimator is not None
+        self.loop, self.chosen, self.baseline = loop, estimator is not None, baseline
         self.effort = seed, standard_error, steps, progress, threads
-        self._use(estimator or choose_estimator(loop))
+        self._use(estimator or choose_estimator(loop, baseline))
         self.first: Averages | None = None
         self.failed: UnstableError | OutOfTime | None = None
 
@@ -246,7 +251,7 @@ class Averaging:
         """Choose the plain average and simulate its first windows, if it needs less work for an error."""
         if plain_error**2 >= _BOTH * error**2:
             return
-        plain, before = plain_average(self.loop), (self.estimator, self.parts, self.answers)
+        plain, before = plain_average(self.loop, self.baseline), (self.estimator, self.parts, self.answers)
         if plain.program.operations * plain_error**2 < self.estimator.program.operations * error**2:
             try:
                 self._use(plain)
@@ -326,22 +331,22 @@ def least_work(loop: Loop) -> float:
     return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * paths_of(loop, least)
 
 
-def choose_estimator(loop: Loop) -> Estimator:
+def choose_estimator(loop: Loop, baseline: Loop | None = None) -> Estimator:
     """Choose how to estimate a loop's cost: completed squares, difference to every sample, or plain average."""
     if loop.identity is not None:
         return completed_squares(loop)
-    return difference_to_every_sample(loop) or plain_average(loop)
+    return difference_to_every_sample(loop, baseline) or plain_average(loop, baseline)
 
 
-def difference_to_every_sample(loop: Loop) -> Estimator | None:
+def difference_to_every_sample(loop: Loop, baseline: Loop | None = None) -> Estimator | None:
     """Return the cost estimator J = J_every + E[difference of the stage costs], or None if J_every is not known.
 
     Source: henderson2002
     """
-    both, problem = with_every_sample(loop), loop.problem
+    both, problem = with_every_sample(loop, baseline), loop.problem
     if both is None:
         return None
-    lean = both.program.keep({MORE, COST, *counts(loop)})
+    lean = both.program.keep({MORE, COST, *counts(loop), *([] if baseline is None else [OVER])})
     return Estimator(lean, both.program, MORE, problem.per_unit(both.cost), 1.0 / problem.tick, both.settling)
 
 
@@ -369,11 +374,13 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
     return Estimator(lean, program, EXCESS, identity.constant, 1.0)
 
 
-def plain_average(loop: Loop) -> Estimator:
+def plain_average(loop: Loop, baseline: Loop | None = None) -> Estimator:
     """Return the cost estimator that averages the stage cost over the steps of a loop."""
     final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
-    problem, program = loop.problem, loop.program()
-    lean = program.keep({COST, *counts(loop)}, states=final)
+    both = final if baseline is None else {*final, *map(BASELINE.format, final)}
+    problem = loop.problem
+    program = with_draws(join(with_controls(loop.whole_program()), baseline, final))
+    lean = program.keep({COST, *counts(loop), *([] if baseline is None else [OVER])}, states=both)
     if loop.horizon is None:
         return Estimator(lean, program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
     alpha = problem.cost.discount

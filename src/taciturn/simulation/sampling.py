@@ -36,7 +36,7 @@ from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn._text import number_of
-from taciturn.analyse.every_sample import MORE
+from taciturn.analyse.every_sample import BASELINE, MORE, OVER
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
@@ -115,8 +115,16 @@ class Part(Displayed):
 
     @property
     def names(self) -> list[Name]:
-        """Names of the sums that the simulation needs: cost estimator, ``counts`` and, if needed, stage cost."""
-        return [self.estimator.sum, *counts(self.loop), *([COST] if self.estimator.sum == MORE else [])]
+        """Names of the sums that the simulation needs: cost estimator, ``counts`` and, if needed, stage cost and
+        difference to a baseline.
+        """
+        more = [COST] if self.estimator.sum == MORE else []
+        return [self.estimator.sum, *counts(self.loop), *more, *([OVER] if self.compared else [])]
+
+    @property
+    def compared(self) -> bool:
+        """Whether the program also contains a baseline."""
+        return OVER in self.estimator.program.sums
 
     @property
     def paid(self) -> int | None:
@@ -200,6 +208,8 @@ class Averages(Displayed):
             links that the node decides together.
         plain_error: standard error that the plain average has over the same steps, if the difference to every sample is
             averaged; else None.
+        baseline: cost of the baseline, on the same random numbers, if the simulation contains one; else None.
+        excess: J/J_baseline − 1, with the standard error of the pair; None without a baseline of positive cost.
     """
 
     cost: Estimate
@@ -215,6 +225,8 @@ class Averages(Displayed):
     trusted: bool = True
     silence: Mapping[tuple[str, ...], Estimate] = field(hash=False, default_factory=lambda: {})
     plain_error: float | None = None
+    baseline: Estimate | None = None
+    excess: Estimate | None = None
 
 
 class Sampling:
@@ -287,9 +299,10 @@ class Sampling:
             means = sums / length
             cost, rates = self._summary(means, kept)
             silence = {links: mean(row).scaled(self._pace_of_cost) for links, row in self._added(means).items()}
+            baseline, excess = self._compared(means, cost)
             found = Averages(
                 cost, rates, self.steps, dropped, True, tail=self._tail(means), silence=silence,
-                plain_error=self._plain_error(means),
+                plain_error=self._plain_error(means), baseline=baseline, excess=excess,
             )  # fmt: skip
             settled = settled and not self._unheard(means)
             measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
@@ -323,6 +336,7 @@ class Sampling:
         share = 1 / horizon if discount == 1 else 1 - discount  # weight of a step in a rate
         costs, first, rates = Moments(), Moments(), dict[str, Moments]()
         added = dict[tuple[str, ...], Moments]()
+        pair = Pair()
         while True:
             done = self.steps // horizon // width
             states = [part.loop.start(part.estimator.program, paths, self.seed, first=done) for part in self.parts]
@@ -331,7 +345,12 @@ class Sampling:
                 if part.estimator.sum == COST:
                     final = part.loop.final_cost(part.estimator.program, state)
                     sums[rows.start] += 0.0 if final is None else final
+                    if part.compared and final is not None:
+                        other = part.loop.final_cost(part.estimator.program, state, BASELINE.format("x"))
+                        sums[rows.start + part.names.index(OVER)] += final - (0.0 if other is None else other)
             costs.add(self._contrast(sums))
+            if (over := self._over(sums)) is not None:
+                pair.add(self._contrast(sums), over)
             first.add(sums[0])
             for link, row in self._sends(sums).items():
                 rates.setdefault(link, Moments()).add(row)
@@ -344,7 +363,11 @@ class Sampling:
             last = reached or self.steps + paths * horizon * width > budget
             silence = {links: moments.mean() for links, moments in added.items()}
             done = reached or (last and steps is not None)
-            yield Averages(cost, found, self.steps, 0, done, tail=self._tail(sums), silence=silence)
+            baseline, excess = pair.compared(self.offset)
+            yield Averages(
+                cost, found, self.steps, 0, done, tail=self._tail(sums), silence=silence,
+                baseline=baseline, excess=excess,
+            )  # fmt: skip
             if last:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
@@ -510,6 +533,27 @@ class Sampling:
             return None
         return part.estimator.scale * mean(means[self.rows[0].start + place]).standard_error
 
+    def _over(self, sums: Array) -> Array | None:
+        """Return the costs of the paths minus those of the baseline, (paths,); None without a baseline."""
+        part = self.parts[0]
+        if len(self.parts) > 1 or not part.compared:
+            return None
+        return part.estimator.scale * sums[self.rows[0].start + part.names.index(OVER)]
+
+    def _compared(self, means: Array, cost: Estimate) -> tuple[Estimate | None, Estimate | None]:
+        """Return the cost of the baseline and the excess over it, of which the draws that both loops share cancel."""
+        over, own, controls = self._over(means), self._contrast(means), means[self.controls]
+        if over is None:
+            return None, None
+        baseline = self._rounded(controlled_mean(own - over, controls)).scaled(1.0, self.offset)
+        if baseline.value <= 0:
+            return baseline, None
+        excess = controlled_mean(over, controls).value / baseline.value
+        rest = self._rounded(controlled_mean(over - excess * (own - over), controls)).standard_error
+        # without noise all paths agree, and the error is that of a cycle that the window cuts off
+        cut = cost.standard_error if baseline.standard_error <= _DETERMINISTIC * baseline.value and over.any() else 0.0
+        return baseline, Estimate(excess, max(rest, cut) / baseline.value, cost.method)
+
     @cached_property
     def _pace_of_cost(self) -> float:
         """Steps per unit of time of an average cost."""
@@ -547,6 +591,37 @@ class Sampling:
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
         self.progress(max(spent, precise))
+
+
+class Pair:
+    """The mean costs of runs of a loop and of its baseline, with the error of their ratio."""
+
+    def __init__(self) -> None:
+        """Start without runs."""
+        self._own, self._over, self._both = Moments(), Moments(), Moments()
+
+    def add(self, own: Array, over: Array) -> None:
+        """Add the costs of some runs, and their differences to the baseline."""
+        for moments, values in ((self._own, own), (self._over, over), (self._both, own + over)):
+            moments.add(values)
+
+    def compared(self, offset: float) -> tuple[Estimate | None, Estimate | None]:
+        """Return the cost of the baseline and the excess over it; None without runs."""
+        if self._own.count < 2:
+            return None, None
+        own, over, both = (moments.mean() for moments in (self._own, self._over, self._both))
+        variances = [one.standard_error**2 for one in (own, over, both)]
+        shared = (variances[2] - variances[0] - variances[1]) / 2
+
+        def error(of_own: float, of_over: float) -> float:
+            found = of_own**2 * variances[0] + of_over**2 * variances[1] + 2 * of_own * of_over * shared
+            return float(np.sqrt(max(found, 0.0)))
+
+        baseline = Estimate(own.value - over.value + offset, error(1.0, -1.0), own.method)
+        if baseline.value <= 0:
+            return baseline, None
+        excess = over.value / baseline.value
+        return baseline, Estimate(excess, error(-excess, 1 + excess) / baseline.value, own.method)
 
 
 def paths_of(loop: Loop, burn_in: int) -> int:

@@ -4,6 +4,7 @@
 simulation, whichever is predicted to need the least work. At the measured rate r, the cost is then compared with
 
 * fair periodic control at this rate (``periodic``),
+* the same loop that sends every sample (``baseline``), and better ones where silence costs less than sending,
 * the guarantee, a proven upper bound, for all rates and at this one (``model.theory``),
 * if a confidence level is given, a lower bound on the cost of every schedule of this controller (the plugin
   ``schedules``). It is evaluated at the upper confidence limit of r, since the bound falls with the rate, and the rate
@@ -50,6 +51,7 @@ from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.sampling import Averages
+from taciturn.study.baseline import baseline_of, better_baselines, costs_less, excess_over
 from taciturn.study.evaluation import Consistency, Evaluation, TimeUnit, cost_unit, rate_unit
 from taciturn.study.further_loops import (
     AsWritten,
@@ -58,7 +60,7 @@ from taciturn.study.further_loops import (
     compare_without_limits,
     precisely,
 )
-from taciturn.study.measure import CONDITIONAL, Request, measure
+from taciturn.study.measure import CONDITIONAL, Request, measure_beside
 from taciturn.study.periodic import ClockMix, periodic_at
 from taciturn.study.sentences import WITHDRAWN
 from taciturn.study.set_point_steps import rates_around_steps
@@ -189,13 +191,20 @@ def _evaluated(
     with part_of_time(most * MEASURED):
         if isinstance(policy, PolicyWithoutSteps):
             loop = problem.close(cast("Policy", policy.looked_at))
-            measured = policy.measure(loop, request, first)
+            measured, base = policy.measure(loop, request, first), baseline_of(problem, loop)
         else:
             loop = replace(problem.close(policy), precision=precision)
-            measured = measure(loop, request, first)
+            base = baseline_of(problem, loop)
+            measured = measure_beside(loop, base.simulated, request, first)
     asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
     notes = [*measured.notes, *without_effect(asked, measured.method), *forgotten_start(problem)]
+    notes += [f"no cost of every sample: {base.why}"] if base.why else []
     found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
+    every, excess = base.compared(found)
+    better = dict[str, Estimate]()
+    if every is not None and costs_less(excess):
+        with _part("better baseline", notes):
+            better = better_baselines(problem, loop, every, request.seed)
     per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
     with part_of_time(1.0 if most == 1.0 else COMPARED):
         fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
@@ -268,6 +277,9 @@ def _evaluated(
         certificate=_certificate(loop, found),
         guarantee_shares={} if guarantee is None else _guarantee_shares(loop, guarantee, found),
         cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
+        baseline=None if loop.nominal else every,
+        paired=None if loop.nominal else excess,
+        better=better,
     )
 
 
@@ -451,8 +463,13 @@ def _plant_as_written(
         return None
     plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
     plant = plain.added_to(problem.actual or problem.plant)
-    found = averages_on(plant, problem, policy, precisely(request, policy), progress)
-    return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
+    exact = _every_sample(problem, kept)
+    found = averages_on(plant, problem, policy, precisely(request, policy), progress, exact is None)
+    base, excess = found.baseline, found.excess
+    if exact is not None:
+        base = Estimate(exact, 0.0, "exact")
+        excess = excess_over(found.cost, base)
+    return AsWritten(added.text(), found.cost, exact, found.rates, found.settled, base, excess)
 
 
 def _every_sample(problem: Problem, kept: AnyController) -> float | None:

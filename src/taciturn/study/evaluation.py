@@ -4,8 +4,9 @@
 for fair periodic control at its rate, for sending every sample, and for each bound; a second one has a row for each of
 several links. Costs are per step, per second, per second at the sampling instants (if the integral of the stage cost
 has no average), or per finite-horizon run; rates are per step or per second. An excess is relative to the cost J_all of
-sending every sample, 100 (J/J_all − 1) %. That of an upper bound is relative to the upper end of J_all, and is rounded
-up; that of a lower bound is rounded down.
+sending every sample, 100 (J/J_all − 1) %. Where no theorem gives J_all, such as with limits or losses, it is measured
+(``baseline``), and the excess has the error of a pair on the same random numbers. That of an upper bound is relative to
+the upper end of J_all, and is rounded up; that of a lower bound is rounded down.
 
 The verdict answers how many packets the policy sends, what this costs compared with sending every sample, and what is
 proven about it. Its numbers have the digits of the table, in which their standard errors are. If they are not averages,
@@ -31,6 +32,7 @@ from taciturn.model.result import SPLICED, VERDICT, Field, Tabular, plain_fields
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.problem import Problem
+from taciturn.study.baseline import excess_over
 from taciturn.study.evaluation_figure import cost_panel, rate_panel
 from taciturn.study.further_loops import AfterStep, AsWritten, WithoutLimits
 from taciturn.study.measure import CONDITIONAL
@@ -41,9 +43,10 @@ from taciturn.study.sentences import (
     WITHDRAWN,
     ZERO,
     clock_text,
-    compared_text,
     decimals_of,
+    excess_text,
     percent_above,
+    percent_text,
     proof_text,
     queries_text,
     sends_text,
@@ -86,6 +89,7 @@ def rate_unit(unit: Unit) -> TimeUnit:
 R = TypeVar("R")  # row of a table
 Consistency = Literal["guaranteed", "verified", "not verified"]
 BY_DEFAULT = "with a slow disturbance by default: "  # begins the verdict on a plant that the user has not written
+THIS, EVERY_SAMPLE = "this policy", "every sample"  # rows of the table
 TOGETHER = "all links"  # the row of all links together
 DAY = 86400.0  # seconds
 
@@ -113,7 +117,9 @@ def withdrawn_text(listed: Sequence[Evaluation]) -> Iterator[str]:
     """Yield a sentence that says why no guarantee holds, if the simulated loops differ from the design."""
     reasons = dict.fromkeys(reason for found in listed for reason in found.withdrawn)
     if reasons:
-        yield f"no guarantee holds, and the cost of every sample is unknown: {'; '.join(reasons)}"
+        unknown = any(found.cost_every_sample is None for found in listed)
+        also = ", and the cost of every sample is unknown" if unknown else ""
+        yield f"no guarantee holds{also}: {'; '.join(reasons)}"
 
 
 def _numbers(found: Evaluation, than: str = THAN) -> str:
@@ -124,10 +130,12 @@ def _numbers(found: Evaluation, than: str = THAN) -> str:
 
 def cost_text(found: Evaluation, than: str = THAN) -> str:
     """Write the cost as text, compared with the cost of sending every sample if this is known."""
-    base, cost = found.cost_all_time, f"cost {found.cost} {found.per}"
+    base, cost = found.cost_every_sample, f"cost {found.cost} {found.per}"
     if base is None:
         return cost
-    return compared_text(found.cost, base, than) if base > 0 else f"{cost}, where every sample costs nothing"
+    if found.excess is None:
+        return f"{cost}, where every sample costs nothing"
+    return excess_text(found.excess, " cost", than, spread=found.measured) + ", measured" * found.measured
 
 
 def packets_text(rates: Mapping[str, Estimate], found: Evaluation) -> str:
@@ -166,8 +174,9 @@ def _as_written(found: Evaluation, written: AsWritten) -> str:
     if not written.settled:
         return "no verdict, since the loop has not settled"
     cost = f"cost {written.cost} {found.per}"
-    if written.cost_all_time:
-        cost = compared_text(written.cost, written.cost_all_time)
+    if written.excess is not None:
+        measured = written.cost_all_time is None
+        cost = excess_text(written.excess, " cost", THAN, spread=measured) + ", measured" * measured
     return f"{packets_text(written.rates, found)}, {cost}"
 
 
@@ -177,13 +186,34 @@ def _written_line(found: Evaluation) -> str:
     if written is None:
         return ""
     every, late = "", "" if written.settled else "; the loop has not settled: more steps are required"
-    if written.cost_all_time is not None:
-        extra = "" if not written.cost_all_time else f" ({percent_above(written.cost, written.cost_all_time)})"
-        every = f", every sample {written.cost_all_time:.6g}{extra}"
+    if written.cost_every_sample is not None:
+        extra = "" if written.excess is None else f" ({percent_text(written.excess)})"
+        every = f", every sample {written.cost_every_sample}{extra}"
     packets = sends_text(written.rates, f"per {found.rate_unit}")
     return (
         f"the table is for a slow disturbance at each input that the problem does not state ({written.added}); on the "
         f"plant as written, this policy costs {written.cost}{every}, {packets}{late}"
+    )
+
+
+def _percent_document(excess: Estimate) -> dict[str, Any]:
+    """Return the JSON of an excess in percent."""
+    return whole(excess.scaled(100.0))
+
+
+def _each(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
+    """Return the JSON of estimates by name."""
+    return {name: one.document() for name, one in estimates.items()}
+
+
+def _better_line(found: Evaluation) -> str:
+    """Return why other controllers that send every sample are in the table."""
+    if not found.better:
+        return ""
+    costs = " and ".join(f"{name} costs {cost}" for name, cost in found.better.items())
+    return (
+        "sending less costs less here, because the controller amplifies noise, so that the saving says little about "
+        f"the policy; with every sample, {costs}"
     )
 
 
@@ -315,7 +345,7 @@ class _Row(Displayed):
     def rate(self, link: str) -> str:
         """Write the send rate of this table row as text. Only the policy's own rate is a measured one."""
         rate = self.rates.get(link)
-        return "" if rate is None else str(rate) if self.name == "this policy" else f"{rate.value:.4g}"
+        return "" if rate is None else str(rate) if self.name == THIS else f"{rate.value:.4g}"
 
 
 def _known(cost: float | None, error: float = 0.0) -> Estimate | None:
@@ -350,6 +380,10 @@ class Evaluation(Tabular):
         base_rate: rate of sending every sample, or None if sends may occur at any time.
         cost: cost per step or per second, or the total of a finite-horizon run.
         cost_all_time: exact cost of sending every sample, or None if the simulated plant is not the one of the design.
+        baseline: cost of sending every sample in a loop that is not the one of the design, exact or simulated on the
+            same random numbers; None if ``cost_all_time`` states it, or if there is no such average.
+        paired: cost/baseline − 1, simulated on the same random numbers, or None.
+        better: costs of other controllers that send every sample, by name, if the policy costs less than its baseline.
         cost_lqg: cost of LQG with the same weights and every sample, for a policy that keeps a given controller.
         statement: the theorem that proves the bounds, or None.
         cost_bound: proven upper bound on the cost, or None.
@@ -408,7 +442,11 @@ class Evaluation(Tabular):
         Field("policy", say="policy"),
         *plain_fields("unit", "rate_unit", "base_rate"),
         Field("cost", json=whole),
-        *plain_fields("cost_all_time", "cost_all_time_error", "cost_bound"),
+        *plain_fields("cost_all_time", "cost_all_time_error"),
+        Field("cost_every_sample", json=whole),
+        Field("excess", key="excess_percent", json=_percent_document),
+        Field("better", key="better_every_sample", json=_each, optional=True, say="better baseline", text=_better_line),
+        *plain_fields("cost_bound"),
         Field("proved", say="proof", text=_proof_line),
         Field("cost_bound_at_rate"),
         Field("bound_error", key="cost_bound_at_rate_standard_error"),
@@ -499,6 +537,9 @@ class Evaluation(Tabular):
     withdrawn: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     by_default: bool = False
+    baseline: Estimate | None = None
+    paired: Estimate | None = None
+    better: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -527,6 +568,33 @@ class Evaluation(Tabular):
         return f"sends per {self.rate_unit}"
 
     @property
+    def cost_every_sample(self) -> Estimate | None:
+        """Cost of the same loop that sends every sample, with its limits, losses and rounding: exact where a theorem
+        gives it, else simulated on the same random numbers; None if there is no such average.
+        """
+        return self.baseline if self.cost_all_time is None else _known(self.cost_all_time)
+
+    @property
+    def excess(self) -> Estimate | None:
+        """cost/cost_every_sample − 1, with the standard error of a pair if both are simulated; None if every sample
+        costs nothing, or an unknown amount.
+        """
+        every = self.cost_every_sample
+        if self.measured or every is None:
+            return self.paired
+        return excess_over(self.cost, every)
+
+    @property
+    def base(self) -> float | None:
+        """Cost of sending every sample, to which all percentages refer: exact or measured; None if it is unknown."""
+        return None if self.cost_every_sample is None else self.cost_every_sample.value
+
+    @property
+    def measured(self) -> bool:
+        """True if the cost of sending every sample is simulated, because no theorem gives it."""
+        return self.cost_every_sample is not None and self.cost_every_sample.method == "simulation"
+
+    @property
     def highest_all_time(self) -> float:
         """Upper bound on the cost of sending every sample, including its error. Other bounds are relative to this
         number.
@@ -547,8 +615,10 @@ class Evaluation(Tabular):
 
     @property
     def sends_every_sample(self) -> bool:
-        """True if the policy sends every sample, and its cost is known in closed form."""
-        return self.cost.method == "exact" and all(rate.value == self.base_rate for rate in self.rates.values())
+        """True if the policy sends every sample, and its cost is known in closed form or is that of its baseline."""
+        same = self.measured and self.paired is not None and self.paired.value == self.paired.standard_error == 0
+        known = self.cost.method == "exact" or same
+        return known and all(rate.value == self.base_rate for rate in self.rates.values())
 
     @property
     def battery_days(self) -> dict[str, Estimate]:
@@ -590,7 +660,7 @@ class Evaluation(Tabular):
             style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
         """
         rows = [(row.name, row.cost, row.up) for row in self.table_rows() if row.cost is not None]
-        panels = [cost_panel(rows, [self.cost.value], self.cost_all_time, self.per, _title(self))]
+        panels = [cost_panel(rows, [self.cost.value], self.base, self.per, _title(self))]
         panels += [rate_panel(self.rates, self.base_rate, self.rate_unit)] if self.rates else []
         panels += [] if self.violations is None else self.violations.panels()
         return draw(panels, ax, figsize, style)
@@ -605,9 +675,10 @@ class Evaluation(Tabular):
         lower = None if self.lower_bound is None else self.lower_bound.cost
         least = None if lower is None else outward(lower, 6, -1)
         found = (
-            _Row("this policy", self.cost, same),
+            _Row(THIS, self.cost, same),
             _Row("periodic, same rate", None if always else self.periodic, _periodic_rates(self)),
-            _Row("every sample", None if always else _known(self.cost_all_time), pace),
+            _Row(EVERY_SAMPLE, None if always else self.cost_every_sample, pace),
+            *(_Row(f"{EVERY_SAMPLE}, {name}", cost, pace) for name, cost in self.better.items()),
             _Row("guarantee", _known(proved(self.cost_bound)), {}, 1, _known(self.cost_bound)),
             _Row("guarantee, this rate", self.guarantee_at_rate, same, 1),
             _Row("certificate of the nodes", self.certificate, same, 1),
@@ -646,10 +717,12 @@ class Evaluation(Tabular):
 
     def row_fields(self) -> tuple[Field[_Row], ...]:
         """Return the columns of the table: cost, excess over the cost of sending every sample, and send rates."""
-        base = None if self.sends_every_sample else self.cost_all_time
+        base = None if self.sends_every_sample else self.base
         seen = () if self.violations is None else self.violations.records().items()
 
         def extra(row: _Row) -> Estimate | None:
+            if self.excess is not None and row.name == THIS:
+                return self.excess.scaled(100.0)
             return row.cost.scaled(100 / base, -100) if base and row.cost is not None else None
 
         def exact(row: _Row) -> Estimate:
@@ -658,8 +731,10 @@ class Evaluation(Tabular):
             return found
 
         def above(row: _Row) -> str:
-            of = self.highest_all_time if row.up == 1 else self.cost_all_time or 0.0
-            return "" if row.name == "every sample" else percent_above(exact(row), of, row.up)
+            if self.excess is not None and row.name == THIS:
+                return percent_text(self.excess)
+            of = self.highest_all_time if row.up == 1 else base or 0.0
+            return "" if row.name == EVERY_SAMPLE else percent_above(exact(row), of, row.up)
 
         def cost(row: _Row) -> str:
             return bound_text(exact(row), row.up) if row.up else str(row.cost)
@@ -671,7 +746,7 @@ class Evaluation(Tabular):
             )
 
         def violation(name: str, share: Estimate) -> Field[_Row]:
-            return Field(name, lambda row: share if row.name == "this policy" else None, column=name)
+            return Field(name, lambda row: share if row.name == THIS else None, column=name)
 
         return (
             Field("name", column="name", say=""),
@@ -679,7 +754,7 @@ class Evaluation(Tabular):
             *([Field("extra", extra, column="extra_percent", say="extra cost", text=above)] if base else []),
             *map(rate, self.rates),
             *(violation(name, share) for name, share in seen),
-            *columns_of(lambda row: self if row.name == "this policy" else None, said=False),
+            *columns_of(lambda row: self if row.name == THIS else None, said=False),
         )
 
 

@@ -29,7 +29,7 @@ def cost_panel(listed: Sequence[Row], near: Sequence[float], base: float | None,
     values = [cost.value for _, cost, _ in rows]
     above = Above.of(base, near, values) if base is not None and base > 0 else None
     series = [
-        Series([cost.value], [float(row)], "", "bars", [cost.standard_error], THINGS[name], hollow=name == HOLLOW)
+        Series([cost.value], [float(row)], "", "bars", [cost.standard_error], _thing(name), hollow=name == HOLLOW)
         for row, (name, cost, _) in enumerate(rows)
     ]
     notes = list[str]()
@@ -50,6 +50,10 @@ def cost_panel(listed: Sequence[Row], near: Sequence[float], base: float | None,
         xabove=above,
         levels=levels,
     )
+
+
+def _thing(name: str) -> Thing:
+    return THINGS.get(name, "every sample")  # or that of a better controller
 
 
 def rate_panel(rates: Mapping[str, Estimate], most: float | None, unit: str) -> Panel:

@@ -17,17 +17,14 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._progress import Progress, Stages
-from taciturn.base.filter import SEND
-from taciturn.design.at_fixed_steps import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import decides, send_at_fixed_steps, sending_always
 from taciturn.design.kind import usual_nodes
 from taciturn.loop import Loop, close
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.result import Field, Result
+from taciturn.model.result import Field, Result, plain_fields
 from taciturn.model.saturation import Saturation
-from taciturn.model.steps import Decide
-from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.without_file import BareKind
 from taciturn.program.engine import prepare
@@ -47,20 +44,29 @@ class AsWritten(Result):
     Args:
         added: time constant and deviation of this disturbance, as text.
         cost: cost of the policy on the plant as written.
-        cost_all_time: cost of sending every sample there; None if it is not known.
+        cost_all_time: exact cost of sending every sample there; None if it is not known.
         rates: sends per step or per second there, by scheduled link.
         settled: whether the initial transient has decayed.
+        cost_every_sample: cost of sending every sample there, exact or simulated on the same random numbers, or None.
+        excess: cost/cost_every_sample − 1, or None.
     """
+
+    FIELDS: ClassVar[tuple[Field[AsWritten], ...]] = (
+        *plain_fields("added", "cost", "cost_all_time", "cost_every_sample"),
+        Field("excess_percent", lambda found: None if found.excess is None else found.excess.scaled(100.0)),
+        *plain_fields("rates", "settled"),
+    )
 
     added: str
     cost: Estimate
     cost_all_time: float | None
     rates: Mapping[str, Estimate] = field(hash=False)
     settled: bool = True
+    cost_every_sample: Estimate | None = None
+    excess: Estimate | None = None
 
 
 ACCURACY = 1e-3  # standard error relative to the cost of sending every sample
-NEVER = 1e150  # a cost of silence above that of any packet
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,24 +119,34 @@ def precisely(request: Request, policy: Policy) -> Request:
 
 
 def averages_on(
-    plant: Plant | ContinuousPlant, problem: Problem, policy: Policy, request: Request, progress: Progress | None
+    plant: Plant | ContinuousPlant,
+    problem: Problem,
+    policy: Policy,
+    request: Request,
+    progress: Progress | None,
+    compared: bool = False,
 ) -> Averages:
     """Simulate a policy on a plant with another disturbance than in the design, and return the averages.
 
-    The loop recovers from such a disturbance as slowly as from a fault. The time constant of this recovery determines
-    how many initial steps are dropped.
+    If it is to be ``compared``, the same nodes that send every sample are the baseline. The loop recovers from such a
+    disturbance as slowly as from a fault. The time constant of this recovery determines how many initial steps are
+    dropped.
     """
     policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
     network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
     loop = close(plant, policy, network.with_intervals(policy.network), problem.cost)
+    every = replace(loop, policy=sending_always(policy), network=loop.network.unlimited)
+    baseline = every if compared and decides(policy) else None
     error = None if request.steps else request.standard_error
-    return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
+    return average(
+        loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress, baseline=baseline
+    )
 
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     """Return the same control with a packet at every sample; some rules, such as levels of the output, have none."""
     if problem.controller is None:
-        return sends_every_sample(policy)
+        return sending_always(policy)
     period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
     network, links = problem.network, policy.scheduled
     # over several links, which are ideal, the loop with every sample is that of one link; so it is where a sensor
@@ -139,21 +155,6 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     link = "sensor" if sensed else "actuator"
     always = send_at_fixed_steps(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
     return replace(always, network=usual_nodes(network, policy.kind)) if len(links) == 1 else always
-
-
-def sends_every_sample(policy: Policy) -> Policy:
-    """Replace the triggers of a policy by triggers that always send. Limits on send intervals have no effect on
-    them.
-    """
-
-    def always(trigger: Trigger) -> Trigger:
-        return Trigger({**trigger.options, "silent": Form(constant=NEVER)})
-
-    steps = tuple(
-        replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
-        for step in policy.steps
-    )
-    return replace(policy, steps=steps, network=policy.network.unlimited)
 
 
 PATHS, TICKS = 512, 512  # over which the share of steps at a limit is counted, after the transient

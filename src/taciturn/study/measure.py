@@ -19,7 +19,7 @@ from functools import cache
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, part_of_time, seconds_left
 from taciturn.analyse.renewal import ConditionalSampling, RenewalQuadrature, decides_alone, expect_affordable
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
@@ -64,8 +64,22 @@ class Measured(Displayed):
     notes: tuple[str, ...] = ()  # warnings and remarks for the reader
 
 
-def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
-    """Compute cost and rates: in closed form if there is one, or by the method with the least predicted work."""
+def measure_beside(loop: Loop, baseline: Loop | None, request: Request, progress: Progress | None) -> Measured:
+    """Compute cost and rates, and simulate a baseline on the same random numbers, if there is one and it is stable."""
+    try:
+        return measure(loop, request, progress, baseline)
+    except UnstableError as error:
+        if baseline is None:
+            raise
+        found = measure(loop, request, progress)  # unless the loop itself diverges
+        return replace(found, notes=(*found.notes, f"no cost of every sample: if every sample is sent, {error}"))
+
+
+def measure(loop: Loop, request: Request, progress: Progress | None, baseline: Loop | None = None) -> Measured:
+    """Compute cost and rates: in closed form if there is one, or by the method with the least predicted work.
+
+    A simulation also contains the ``baseline``.
+    """
     policy, method = loop.policy, request.method
     if method in ("auto", "exact") and loop.nominal and policy.theory.closed_form is not None:
         form = policy.theory.closed_form
@@ -78,7 +92,7 @@ def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured
             f"standard_error is {asked:g}, but double precision resolves a cost of {policy.cost_all_time:g} "
             f"only to {finest:.2g}; expected at least {finest:.2g}"
         )
-    candidates, refused = candidates_of(loop, request, progress)
+    candidates, refused = candidates_of(loop, request, progress, baseline)
     if not candidates:
         raise ProblemError(f"method is {method!r}, but {refused}") from None
     if len(candidates) == 1:
@@ -139,7 +153,7 @@ def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
 
 
 def candidates_of(
-    loop: Loop, request: Request, progress: Progress | None
+    loop: Loop, request: Request, progress: Progress | None, baseline: Loop | None = None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
     """List those of the requested methods that apply to a loop, and the reason if quadrature does not."""
     found, refused = list[Candidate](), None
@@ -154,7 +168,7 @@ def candidates_of(
         except NoQuadratureError as error:
             refused = refused or error
     if request.method in ("auto", "simulation"):
-        found.append(_simulation(loop, request, progress))
+        found.append(_simulation(loop, request, progress, baseline))
     return found, refused
 
 
@@ -200,11 +214,16 @@ def _conditional(loop: Loop, request: Request, progress: Progress | None) -> Can
     return Candidate(CONDITIONAL, sampling.least, lambda others: sampling.predict(asked, others), run, True)
 
 
-def _simulation(loop: Loop, request: Request, progress: Progress | None) -> Candidate:
+def _simulation(loop: Loop, request: Request, progress: Progress | None, baseline: Loop | None) -> Candidate:
     @cache
     def averaging() -> Averaging:
         return Averaging(
-            loop, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
+            loop,
+            seed=request.seed,
+            standard_error=request.standard_error,
+            steps=request.steps,
+            progress=progress,
+            baseline=baseline,
         )
 
     def predict(_: float) -> float:

@@ -1,5 +1,7 @@
 """Words for numbers of studies: shares, rates, schedules, and costs compared with the cost of every sample sent.
 
+An excess is J/J_every − 1, with the cost J_every of the loop that sends every sample.
+
 A percentage has three digits, at most two decimals, and no digits that its standard error does not support.
 """
 
@@ -31,8 +33,12 @@ def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = Tr
 
     The percentage has at most two decimals, and fewer if its standard error is large.
     """
-    above = cost.value / base - 1
-    return percent(above, _decimals(above, cost.standard_error / base), up=up, signed=signed)
+    return percent_text(cost.scaled(1 / base, -1.0), up, signed=signed)
+
+
+def percent_text(excess: Estimate, up: int = 0, *, signed: bool = True) -> str:
+    """Write an excess J/J_every − 1 in percent, with the digits of ``percent_above``."""
+    return percent(excess.value, _decimals(excess.value, excess.standard_error), up=up, signed=signed)
 
 
 def _decimals(above: float, error: float) -> int:
@@ -54,18 +60,23 @@ def share_text(share: Estimate) -> str:
 
 def more_text(cost: Estimate, base: float, noun: str = "", than: str = "") -> str:
     """Write how much more or less than sending every sample a policy costs, with as many digits as in the table."""
-    above = cost.value / base - 1
-    exact = negligible(cost.standard_error, cost.value)
-    error = 0.0 if exact else cost.standard_error / base
-    if error > COARSE * abs(above):
+    return excess_text(cost.scaled(1 / base, -1.0), noun, than)
+
+
+def excess_text(excess: Estimate, noun: str = "", than: str = "", *, spread: bool = False) -> str:
+    """Write an excess J/J_every − 1 as more or less cost, with its standard error if it is large or ``spread``."""
+    above = excess.value
+    exact = negligible(excess.standard_error, 1 + above)
+    error = 0.0 if exact else excess.standard_error
+    if error > COARSE * abs(above) or (spread and error):
         text = percent(abs(above), error=error)
     elif exact and abs(above) <= ZERO:
         text = percent(0.0)
     else:
         text = percent(abs(above), max(-magnitude(100 * above), _decimals(above, error)))
-    shown, _, spread = text.partition(" ± ")
+    shown, _, rest = text.partition(" ± ")
     if not shown.strip("0. %"):
-        return f"as much{noun}{than.replace(' than ', ' as ')}{f' (± {spread})' if spread else ''}"
+        return f"as much{noun}{than.replace(' than ', ' as ')}{f' (± {rest})' if rest else ''}"
     return f"{text} {'more' if above >= 0 else 'less'}{noun}{than}"
 
 
