@@ -36,7 +36,17 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
 from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
+from taciturn.model.coverage import (
+    BURSTS,
+    DRIFT,
+    FUNCTION,
+    JUMPS,
+    LIMIT,
+    ROUNDING,
+    SET_POINT_LIMITS,
+    SIMULATED,
+    uncovered,
+)
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
@@ -94,6 +104,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         and (cost.mission or (resting_states(plant).any() and not lacks(DRIFT))),
         "inputs are clipped (input_limit)": "plant.input_limit" in missing,
         "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
+        "the set-points change faster than their limit (reference.ramp)": lacks(SET_POINT_LIMITS),
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
         "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
         "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
@@ -101,7 +112,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
-    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT]
+    told = FUNCTION | LIMIT | SET_POINT_LIMITS | JUMPS | BURSTS | ROUNDING | DRIFT
+    others = [name for name in missing if name not in told]
     return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
 
 

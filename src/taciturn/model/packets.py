@@ -174,7 +174,13 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
         sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs)}
         shapes |= {(kind, link): (exact, size) for kind, size in sizes.items() if size}
         shapes |= {("mark", link): (exact, 0)}
+        shapes |= operator_shapes(link, len(ends.outputs)) if link == SETPOINT else {}
     return shapes
+
+
+def operator_shapes(link: str, set_points: int) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
+    """Return the packets between an operator and the controller: set-points; and those received and those in effect."""
+    return {("setpoint", link): (Encoding(), set_points), ("report", link): (Encoding(), 2 * set_points)}
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
