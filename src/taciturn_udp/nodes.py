@@ -166,6 +166,11 @@ class NodeServer:
             "seconds": round(self._clock() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
         }
+        points = [(node.loop, node.set_points) for node in self.nodes if node.set_points is not None]
+        if points:
+            found["set_points"] = [
+                {"loop": loop, "given": list(one.given), "in_effect": list(one.in_effect)} for loop, one in points
+            ]
         if self._lateness:
             late = np.percentile(1e3 * np.array(self._lateness), SHARES)
             names = ("p50", "p95", "p99", "max")

@@ -299,19 +299,8 @@ class SampledChanges(Displayed):
 
 
 def set_point_limits(size: int, within: ArrayLike | None = None, ramp: ArrayLike | None = None) -> Saturation | None:
-    """Return the limits of set-points that a controller enforces, in the units of the plant; None if there are none.
-
-    Args:
-        size: number of set-points z.
-        within: lowest and highest value of each set-point, (z, 2); ±∞ for none.
-        ramp: largest change of each set-point per second, or per step of a plant that is discrete in time, (z,).
-
-    Raises:
-        ProblemError: a range is empty, or a change is not positive.
-
-    Example:
-        >>> set_point_limits(1, [[0.0, 10.0]], [0.5]).low
-        array([0.])
+    """Return the limits of set-points, in the units of the plant: the range of each, (z, 2), and its largest change,
+    (z,), per second, or per step of a plant that is discrete in time; None without limits.
     """
     if within is None and ramp is None:
         return None
