@@ -161,7 +161,7 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "each link for itself": ("distributed",),
 }  # fmt: skip
 
-FOLLOWED = frozenset({"changes", "outputs to follow"})
+FOLLOWED = frozenset({"changes", "set-point limits", "outputs to follow"})
 """Groups of what a given controller has with some kinds only."""
 
 
