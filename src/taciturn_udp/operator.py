@@ -54,19 +54,10 @@ class InEffect(NamedTuple):
 
 
 class Operator:
-    """An operator of one controller.
+    """An operator of one controller, at the address ``to``, with the key of the link ``setpoint``.
 
-    Args:
-        port: socket.
-        to: address of the controller.
-        keys: keys, of which that of the link ``setpoint`` is used; None: packets are not authenticated.
-        epoch: epoch of the set-points, which must be later than the last one; default: the system time in seconds, or
-            the epoch after the last one, if this is later.
-        patience: seconds until the operator gives up.
-        clock: function that returns the time in seconds, from any origin.
-
-    Raises:
-        ProblemError: there is no key of this link.
+    Without a given ``epoch``, it is the system time in seconds, or follows the last one, if this is later. The operator
+    gives up after ``patience`` seconds.
     """
 
     def __init__(
@@ -89,11 +80,7 @@ class Operator:
         self._sequence, self._tick, self._size = -1, 0, 0
 
     def ask(self) -> InEffect:
-        """Return the present set-points of the controller.
-
-        Raises:
-            ProblemError: nobody answers, or the given epoch is not later than the last one.
-        """
+        """Return the present set-points of the controller."""
         self._nonce = secrets.randbits(64)
         asks = Frames(ANY_POLICY, {ANY_LINK: SETPOINT}, {}, self._keys)
         hello = asks.encode(Packet("challenge", SETPOINT, 0, 0, nonce=self._nonce))
@@ -117,12 +104,7 @@ class Operator:
         )
 
     def give(self, values: Sequence[float]) -> InEffect:
-        """Give the controller set-points, and return those in effect after its next step.
-
-        Raises:
-            ProblemError: the number of set-points is wrong, a set-point is too large, or the controller does not
-                confirm them.
-        """
+        """Give the controller set-points, and return those in effect after its next step."""
         if self._policy is None:
             self.ask()
         if len(values) != self._size or not fits(values):

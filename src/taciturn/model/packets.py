@@ -205,6 +205,10 @@ def fingerprint(policy: Policy, network: Network) -> int:
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     limit, rate = policy.model.input_limit, policy.model.input_rate
     limits = [None if limit is None else _sides(limit), *([] if rate is None else [_sides(rate)])]
+    points = None if policy.model.changes is None else policy.model.changes.limits
+    if points is not None:  # few of their limits show in the values of their function
+        limits += [_sides(np.stack([points.low, points.high], axis=1))]
+        limits += [] if points.rate is None else [_sides(points.rate)]
     text = repr(_plain([data, rounding, *limits]))
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
 

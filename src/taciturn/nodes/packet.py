@@ -87,13 +87,8 @@ class Packet(NamedTuple):
 
 
 class Frames:
-    """Encodes and decodes the datagrams of a policy that is known by its fingerprint and its packets.
-
-    Args:
-        fingerprint: fingerprint of the policy.
-        links: links by their numbers.
-        shapes: encoding and number of entries, by kind and link.
-        keys: keys of the links; None: packets are not authenticated.
+    """Encodes and decodes the datagrams of a policy that is known by its fingerprint, its links by their numbers, and
+    its packets: encoding and number of entries, by kind and link. Without keys, packets are not authenticated.
     """
 
     def __init__(

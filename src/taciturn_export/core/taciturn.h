@@ -261,9 +261,9 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
  * given none. */
 bool tac_setpoint(tac_node *node, const tac_real *values);
 
-/* Return the set-points that were in effect in the last step, within their range and ramp; NULL if the node is given
- * none. */
-const tac_real *tac_setpoints(const tac_node *node);
+/* Write the set-points that were in effect in the last step, within their range and ramp. Return false, without effect,
+ * if the node is given none. */
+bool tac_setpoints(const tac_node *node, tac_real *values);
 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
  * 10000 missed steps, the earlier ones are skipped, as on a host. */

@@ -258,15 +258,18 @@ bool tac_setpoint(tac_node *node, const tac_real *values) {
   return true;
 }
 
-const tac_real *tac_setpoints(const tac_node *node) {
+bool tac_setpoints(const tac_node *node, tac_real *values) {
   unsigned i = tac_set_points(node->data);
   uint8_t count = tac_set_point_count(node->data);
-  const tac_real *given = NULL;
-  if (count > 0U) {
-    bool limited = node->data->limited >= 0 && node->begun && tac_fits(&node->outputs[node->data->limited], count);
-    given = limited ? &node->outputs[node->data->limited] : &node->inputs[node->data->channels[i].at + 1U];
+  if (count == 0U) {
+    return false;
   }
-  return given;
+  if (node->data->limited >= 0 && node->begun && tac_fits(&node->outputs[node->data->limited], count)) {
+    copy(values, &node->outputs[node->data->limited], count);
+  } else {
+    copy(values, &node->inputs[node->data->channels[i].at + 1U], count);
+  }
+  return true;
 }
 
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {

@@ -80,11 +80,10 @@ static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
   return hand_out(node, &packet, &marks->sequence, datagram);
 }
 
-/* Report to an operator: the set-points received and in effect, the newest packet of the operator, and the next step. */
+/* Report to an operator: the set-points received and in effect, his newest packet, and the next step. */
 static size_t report(tac_node *node, uint8_t *datagram) {
   unsigned i = tac_operator(node->data);
   const tac_window *window = &node->channels[i].window;
-  const tac_real *effect = tac_setpoints(node);
   uint8_t count = tac_set_point_count(node->data);
   tac_packet packet;
   (void)memset(&packet, 0, sizeof packet);
@@ -97,8 +96,8 @@ static size_t report(tac_node *node, uint8_t *datagram) {
   packet.sequence = window->begun ? window->newest : 0U;
   for (unsigned k = 0U; k < count; k++) {
     packet.values[k] = node->inputs[node->data->channels[i].at + 1U + k];
-    packet.values[count + k] = effect[k];
   }
+  (void)tac_setpoints(node, &packet.values[count]);
   node->reports = false;
   return tac_encode(&node->data->wire, node->keys[packet.link][0], &packet, datagram);
 }
