@@ -46,6 +46,7 @@ from taciturn.model.coverage import (
     LOADS,
     ROUNDING,
     SAMPLES,
+    SET_POINT_LIMITS,
     SIMULATED,
     uncovered,
 )
@@ -109,6 +110,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "inputs are clipped (input_limit)": "plant.input_limit" in missing,
         "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
         "a load acts on the plant that the design does not know ([[disturbance]] with wander = 0)": lacks(LOADS),
+        "the set-points change faster than their limit (reference.ramp)": lacks(SET_POINT_LIMITS),
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
         "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
         "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
@@ -122,7 +124,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
 
 # differences that have sentences of their own
-NAMED = FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES
+NAMED = FUNCTION | LIMIT | SET_POINT_LIMITS | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum

@@ -54,7 +54,7 @@ FORMAT = 4  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
-_SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "applied")
+_SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "applied", "limited")
 _COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count")
 
 
@@ -110,6 +110,7 @@ class NodeData(Displayed):
             "drawn_at": layout.drawn.start,
             "drawn_count": layout.drawn.stop - layout.drawn.start,
             "applied": -1 if layout.applied is None else layout.applied.start,
+            "limited": -1 if layout.limited is None else layout.limited.start,
             "measurement_count": layout.measured,
             "applied_count": 0 if layout.applied is None else layout.applied.stop - layout.applied.start,
             "channel_count": len(layout.arrivals),
@@ -121,7 +122,7 @@ class NodeData(Displayed):
     def crc(self) -> int:
         """CRC-32 checksum of all constant data, in the order in which the C function ``tac_check`` reads them."""
         numbers, layout = self._numbers, self.layout
-        found = struct.pack(">I6Hh", FORMAT, *(numbers[name] for name in _SIZES))
+        found = struct.pack(">I6H2h", FORMAT, *(numbers[name] for name in _SIZES))
         found += bytes([*(numbers[name] for name in _COUNTS), len(self._shapes), self.network.protocol == "ideal"])
         found += struct.pack(">II4Q", numbers["remembers"], numbers["constant_count"], *self._generator)
         found += struct.pack(">Q", fingerprint(self.policy, self.network))

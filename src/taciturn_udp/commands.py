@@ -426,6 +426,52 @@ def plant(
         typer.echo(json.dumps(report | plant_cost(problem, loop, server.costs, final)))
 
 
+@app.command(epilog=EXAMPLE + "taciturn setpoint :9102 --value 1.5")
+def setpoint(
+    address: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Address of the running controller.")],
+    value: Annotated[
+        str | None,
+        typer.Option(
+            metavar="R[,…]",
+            help="Set-points, one number for each. Default: read them from lines of the standard input.",
+        ),
+    ] = None,
+    key: Key = None,
+    epoch: Annotated[
+        int | None,
+        typer.Option(help="Epoch of the set-points, which increases with each call. Default: the system time."),
+    ] = None,
+    wait: Annotated[float, typer.Option(help="Longest time to wait for the controller, in seconds.")] = 10.0,
+    as_json: Json = False,
+) -> None:
+    """Give a running controller set-points, and print those in effect, within their range and ramp."""
+    from taciturn.errors import ProblemError
+    from taciturn.extend import count, number
+    from taciturn.nodes.keys import read_keys
+    from taciturn_udp.endpoint import Endpoint, hosts_of, parse_address
+    from taciturn_udp.operator import InEffect, Operator
+    from taciturn_udp.service import say
+
+    to = parse_address("HOST:PORT", address)
+    secret = read_keys(key, hosts_of(to))
+    given = None if value is None else _numbers("--value", value)
+    if epoch is not None:
+        number("--epoch", count("--epoch", epoch), high=0xFFFFFFFF, closed=True)
+
+    def show(found: InEffect) -> None:
+        typer.echo(json.dumps(found._asdict()) if as_json else found.sentence())
+
+    with Endpoint(("0.0.0.0", 0)) as endpoint:
+        operator = Operator(endpoint, to, secret, epoch, number("--wait", wait, 0.0, 86400.0, closed=True))
+        show(operator.ask() if given is None else operator.give(given))
+        for line in sys.stdin if given is None else ():
+            if line.strip():
+                try:
+                    show(operator.give(_numbers("the line", line)))
+                except ProblemError as error:
+                    say(str(error))
+
+
 @app.command(epilog=EXAMPLE + "taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to which the relay forwards packets.")],
@@ -503,14 +549,17 @@ def _wire(
 
 
 def _safe(text: str) -> Any:
+    return text if text in ("hold", "zero") else _numbers("--safe", text, "hold, zero, or ")
+
+
+def _numbers(name: str, text: str, others: str = "") -> tuple[float, ...]:
+    """Return the numbers in a text, separated by commas."""
     from taciturn.errors import ProblemError
 
-    if text in ("hold", "zero"):
-        return text
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ProblemError(f"--safe is {text!r}; expected hold, zero, or numbers such as 0.5,-1") from None
+        raise ProblemError(f"{name} is {text.strip()!r}; expected {others}numbers such as 0.5,-1") from None
 
 
 @contextmanager

@@ -75,6 +75,8 @@ def log_line(
     line["memory"] = node.memory
     if given is not None:
         line["u"] = list(given)
+    if node.set_points is not None:
+        line |= {"set_points": list(node.set_points.given), "set_points_in_effect": list(node.set_points.in_effect)}
     line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
     line |= {"silent": int(node.silent), "silent_links": list(node.silent_links)}
     return line | {"waiting": node.waiting}

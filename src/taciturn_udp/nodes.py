@@ -22,14 +22,14 @@ import numpy as np
 from taciturn.errors import ProblemError
 from taciturn.extend import number_of
 from taciturn.model.packets import plant_link
-from taciturn.model.wire import EITHER, LARGEST
+from taciturn.model.wire import EITHER, LARGEST, SETPOINT
 from taciturn.nodes.clock import JUMPED, LATE, Phase
-from taciturn.nodes.inbox import AHEAD, USABLE, Window
+from taciturn.nodes.inbox import AHEAD, OPERATOR, USABLE, Window
 from taciturn.nodes.node import Measurement, Node, Values, check_seal, sealed
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, check_plant, peers_by_link
 from taciturn_udp.logs import log_line
-from taciturn_udp.proofs import Outbox, Reception
+from taciturn_udp.proofs import OPERATED, Outbox, Reception
 from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 
 BLIND = 8  # steps without a measurement from the plant for which a node with a sensor goes on
@@ -108,6 +108,7 @@ class NodeServer:
         self._seen = [node.tick for node in nodes]  # step of the last measurement that each loop has used
         self._measured = [Window() for _ in nodes]
         self._outbox = Outbox(wire, endpoint, peers, len(nodes))
+        self._asked: dict[int, Address] = {}  # the operator of a loop who waits for a report
         self._held: set[int] = set()  # loops whose overflow was reported
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
@@ -172,6 +173,11 @@ class NodeServer:
             "seconds": round(self._clock() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
         }
+        points = [(node.loop, node.set_points) for node in self.nodes if node.set_points is not None]
+        if points:
+            found["set_points"] = [
+                {"loop": loop, "given": list(one.given), "in_effect": list(one.in_effect)} for loop, one in points
+            ]
         if self._lateness:
             late = np.percentile(1e3 * np.array(self._lateness), SHARES)
             names = ("p50", "p95", "p99", "max")
@@ -198,6 +204,8 @@ class NodeServer:
         node = self.nodes[packet.loop]
         along = packet.link in node.program.sends  # whether the packets of this node travel along the link
         sends = along or packet.link in node.acknowledges or (packet.link == self._plant and node.actuates)
+        if packet.kind == "challenge" and packet.link == SETPOINT and not packet.back:
+            return self._greet(packet, sender)
         if packet.kind in EITHER and (packet.back != along or (packet.kind == "challenge" and not sends)):
             self.refused["misdirected"] += 1
             return False
@@ -206,12 +214,35 @@ class NodeServer:
             self._outbox.repeat(packet.loop, now, packet.link)
             return False
         if packet.kind == "answer":
-            if self.reception.accepts(packet):
-                node.inbox.forget(packet.link)
+            if restarted := self.reception.accepts(packet):
+                node.inbox.forget(packet.link, restarted == OPERATED)
                 if packet.link == self._plant:
                     self._measured[packet.loop] = Window()
             return False
-        return self.reception.admits(packet, sender)
+        admitted = self.reception.admits(packet, sender)
+        if admitted and packet.kind == "setpoint" and node.set_points is not None:
+            self._asked[packet.loop] = sender
+        return admitted
+
+    def _greet(self, challenge: Packet, sender: Address) -> bool:
+        """Answer an operator, who does not know the policy; the answer also states the operator's last epoch."""
+        node = self.nodes[challenge.loop]
+        if node.set_points is None:
+            self.refused["misdirected"] += 1
+        else:
+            window = node.inbox.streams[OPERATOR].window
+            answer = self.reception.answer(challenge, max(window.epoch, 0), node.tick)
+            self.endpoint.send(self.wire.encode(answer), sender)
+            self._report_set_points(node, sender)
+        return False
+
+    def _report_set_points(self, node: Node, to: Address) -> None:
+        """Tell an operator the set-points given and in effect, the newest packet of an operator, and the next step."""
+        window, points = node.inbox.streams[OPERATOR].window, node.set_points
+        assert points is not None, "only a controller that is given set-points reports them"
+        newest = max(window.newest, 0), (*points.given, *points.in_effect), max(window.epoch, 0)
+        told = Packet("report", SETPOINT, node.tick + 1, *newest, node.loop)
+        self.endpoint.send(self.wire.encode(told), to)
 
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
@@ -279,6 +310,8 @@ class NodeServer:
             self._outbox.keep(loop, out)
             self._save(node)
             self._outbox.send(out)
+            if loop in self._asked:
+                self._report_set_points(node, self._asked.pop(loop))
             if self._tick is not None and self.phase.known:
                 self._lateness.append(self._clock() - self.phase.begins(tick))
             if self._told is not None:

@@ -12,6 +12,9 @@ an epoch only after their sender has answered a *challenge*:
 
 The epoch of an answer may also be smaller than the last one, so a device without a clock may draw it at random.
 Without keys, anybody can send packets, and a larger epoch replaces a smaller one without a challenge.
+
+Each link of a loop has one sender, except the link of set-points: an operator and a simulated plant prove for
+themselves that they are running.
 """
 
 from __future__ import annotations
@@ -22,13 +25,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taciturn.model.wire import BACK, HEADER_SIZE, OFFSETS, PROOFS, VERSION
+from taciturn.model.wire import BACK, HEADER_SIZE, OFFSETS, PROOFS, SETPOINT, VERSION
 from taciturn.nodes.inbox import packet_of
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address
 from taciturn_udp.service import QUIET, Port, Say
 
 VALID = 2  # last steps of a sender whose packets are valid after its answer, and which it sends again
+OPERATED = "setpoint by an operator"  # the link of set-points, as far as an operator sends on it
 UNANSWERED = 64  # challenges without an answer after which a message says so
 
 
@@ -58,7 +62,7 @@ class _Session:
 
 
 class Reception:
-    """Reception of datagrams by a process; each link of a loop has one sender."""
+    """Reception of datagrams by a process."""
 
     def __init__(
         self,
@@ -76,7 +80,7 @@ class Reception:
         self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
         self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
         self.counters: Counter[str] = Counter()  # challenges sent and answered, proofs received, answers not asked for
-        self._known: dict[tuple[str, int], _Session] = {}
+        self._known: dict[tuple[str, int], _Session] = {}  # by link, or ``OPERATED``, and loop
 
     def packets(self, received: Iterable[tuple[bytes, Address]]) -> Iterator[tuple[Packet, Address]]:
         """Decode datagrams, discard the invalid ones, and yield the packets, each with its sender."""
@@ -97,7 +101,8 @@ class Reception:
         """Return whether the sender of a packet has proven that it is running; if it has not, send it a challenge."""
         if not self._wire.keyed:
             return True
-        session = self._known.setdefault((packet.link, packet.loop), _Session())
+        sender_of = OPERATED if packet.kind == "setpoint" else packet.link
+        session = self._known.setdefault((sender_of, packet.loop), _Session())
         if packet.epoch == session.epoch:
             if packet.tick < session.first:
                 self.refused["replayed"] += 1
@@ -118,16 +123,20 @@ class Reception:
             )
         return False
 
-    def accepts(self, answer: Packet) -> bool:
-        """Accept an answer to a challenge; return whether its sender has restarted. Discard an unexpected answer."""
-        session = self._known.get((answer.link, answer.loop))
-        if session is None or session.nonce is None or session.nonce != answer.nonce:
-            self.counters["unasked"] += 1
-            return False
-        self.counters["proofs"] += 1
-        other = session.epoch != answer.epoch
-        session.epoch, session.first, session.nonce, session.unanswered = answer.epoch, answer.tick, None, 0
-        return other
+    def accepts(self, answer: Packet) -> str:
+        """Accept an answer to a challenge. If its sender has restarted, return its link, or ``OPERATED``; otherwise an
+        empty text. Discard an unexpected answer.
+        """
+        names = (answer.link, OPERATED) if answer.link == SETPOINT else (answer.link,)
+        found = {name: self._known.get((name, answer.loop)) for name in names}
+        for name, session in found.items():
+            if session is not None and session.nonce is not None and session.nonce == answer.nonce:
+                self.counters["proofs"] += 1
+                other = session.epoch != answer.epoch
+                session.epoch, session.first, session.nonce, session.unanswered = answer.epoch, answer.tick, None, 0
+                return name if other else ""
+        self.counters["unasked"] += 1
+        return ""
 
     def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
         """Return the answer to a challenge, and count it; ``tick`` is the step executed last (−1: none)."""

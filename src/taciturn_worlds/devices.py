@@ -39,9 +39,9 @@ WAITING = 64  # steps that a packet may be early
 NO_MARKS = 0xFFFFFFFF
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
-    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated", "missing", "overflowed",
+    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated", "missing", "overflowed", "overruled",
 )  # fmt: skip
-DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
+DROPPED = ("misdirected", "duplicate", "replayed", "superseded", "ahead", "unproven", "proofs", *REFUSALS)
 ACCESS = """
 #include "device.h"
 size_t shim_size(void) { return sizeof(device); }

@@ -302,6 +302,15 @@ def timetable(draft: Draft) -> None:
     table["file"] = "levels.csv"
 
 
+def limited_set_points(draft: Draft) -> None:
+    """Limit the set-points of an operator to a range and a ramp; those at random times leave every range."""
+    table = follow(draft)
+    count = len(table["outputs"]) if "outputs" in table else draft.outputs
+    table["ramp"] = [0.2 if not draft.continuous else 0.2 / STEP] * count
+    if "steps" not in table:
+        table["range"] = [[-1e3, 1e3]] * count
+
+
 def integral_action(draft: Draft) -> None:
     """Ask for integral action of the outputs of the sensors."""
     names = [name for name, role in draft.tables.get("nodes", {}).items() if "measures" in role] or ["sensor"]
@@ -774,6 +783,7 @@ def features() -> list[Feature]:
         "own outputs": ("outputs to follow", own_outputs),
         "operator": ("changes", operator),
         "timetable": ("changes", timetable),
+        "limited set-points": ("set-point limits", limited_set_points),
         "integral action": ("integral", integral_action),
     }
     costs = {

@@ -439,6 +439,8 @@ def set_points_of(
     Dz = np.zeros((len(Cz), len(u0))) if "outputs" in table else D
     at = Cz @ x0 + Dz @ u0
     value, changes = np.array(table.get("value", at), dtype=float) - at, Changes()
+    if table.keys() & {"range", "ramp"}:
+        raise NotModelledError("limits of set-points")
     if "steps" in table:
         rate = table["steps"]["rate"] * (h if "dt" not in plant else 1.0)
         changes = Changes(rate, root_of(matrix(table["steps"]["covariance"])))

@@ -162,7 +162,7 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 KEEPING = ("distributed", "excess", "send-on-delta", "all-time", "periodic", "event-pid", "symmetric-send-on-delta")
-FOLLOWED = frozenset({"changes", "outputs to follow"})
+FOLLOWED = frozenset({"changes", "set-point limits", "outputs to follow"})
 """Groups of what a given controller has with some kinds only."""
 
 

@@ -40,7 +40,7 @@ int main(void) {
 """
 SCALARS = (
     "format", "crc", "wire.fingerprint", "generator", "remembers", "input_count", "memory_count", "output_count",
-    "clocks_at", "drawn_at", "drawn_count", "applied", "measurement_count", "applied_count", "channel_count",
+    "clocks_at", "drawn_at", "drawn_count", "applied", "limited", "measurement_count", "applied_count", "channel_count",
     "send_count", "clock_count", "constant_count",
 )  # fmt: skip
 UNREAD = ("memory_count", "constant_count", "channel_count", "send_count", "clock_count")  # more is read past the end

@@ -14,10 +14,10 @@ from runtime.test_packets import KEY
 
 from taciturn.loop import Loop
 from taciturn.model.packets import wire_links
-from taciturn.model.wire import SETPOINT
+from taciturn.model.wire import ANY_LINK, ANY_POLICY, SETPOINT
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.node import Node
-from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.packet import Frames, Packet, Wire
 from taciturn.problem import parse
 from taciturn_export.export import export_c
 from taciturn_udp.proofs import answer_to
@@ -135,3 +135,27 @@ def test_the_page_of_an_export_names_the_number_of_the_link(tmp_path: Path) -> N
     export_c(problem, tmp_path)
     number = wire_links(tank().policy).index(SETPOINT)
     assert f"{number}: set-points to `box`" in (tmp_path / "README.md").read_text()
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["plain", "keyed"])
+def test_an_operator_learns_the_policy_from_a_device(key: bytes | None) -> None:
+    """The answer repeats the nonce, and the report contains what the operator and the device need of each other."""
+    device, coder = Device(library(), key, 9), wire(key)
+    asks = Frames(ANY_POLICY, {ANY_LINK: SETPOINT}, {}, coder.keys)
+    for epoch, points in ((0, (3.0, 3.0)), (5, (1.5, 1.5))):
+        assert not device.receive(asks.encode(Packet("challenge", SETPOINT, 0, 0, nonce=77)))
+        answer, report = (coder.decode(one) for one in device.send() if coder.decode(one)[0] in ("answer", "report"))
+        assert isinstance(answer, Packet)
+        assert isinstance(report, Packet)
+        assert (answer.nonce, answer.back, answer.epoch) == (77, True, epoch)
+        assert report.values == points
+        given = Packet("setpoint", SETPOINT, report.tick, 0, (1.5,), 5)
+        if key is not None and not epoch:
+            assert not device.receive(coder.encode(given))
+            (asked,) = map(coder.decode, device.send())
+            assert isinstance(asked, Packet)
+            assert not device.receive(coder.encode(answer_to(asked, 5, report.tick)))
+        assert device.receive(coder.encode(given)) == (not epoch)
+        device.step(epoch + 1)
+        found = [one for one in map(coder.decode, device.send()) if isinstance(one, Packet) and one.kind == "report"]
+        assert [(one.tick, one.epoch, one.values) for one in found] == [(epoch + 2, 5, (1.5, 1.5))]

@@ -106,7 +106,7 @@ GROUPS: dict[str, list[str]] = {
     "Design and inspect": ["new", "show", "tune"],
     "Measure and prove": ["evaluate", "simulate", "certify", "bench"],
     "Compare": ["tradeoff", "compare", "sweep", "channel"],
-    "Run": ["network", "node", "plant", "relay"],
+    "Run": ["network", "node", "plant", "setpoint", "relay"],
     "Export": ["export"],
     HELPING: ["help", "version"],
 }

@@ -68,6 +68,10 @@ CHANGES = (
     | (names("SampledChanges", "table") | {"plant.changes"})
 )
 LOADS = names("Load", "times values E G signal given") | {"plant.loads"}
+# of set-points, which a controller enforces; the classes of set-points are those of CHANGES
+SET_POINT_LIMITS = names("Saturation", "low high rate") | {
+    f"{one}.limits" for one in ("RandomSteps", "Timetable", "SampledChanges")
+}
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 # a range has an effect only with a payload; prices and energies affect no packet
@@ -101,7 +105,19 @@ INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excl
 
 LINEAR_LOOP = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
-PLANTS = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | LOADS | FUNCTION | LIMIT | JUMPS | DRIFT
+PLANTS = (
+    LINEAR_PLANT
+    | FEEDTHROUGH
+    | ALONE
+    | EXOSYSTEM
+    | CHANGES
+    | SET_POINT_LIMITS
+    | LOADS
+    | FUNCTION
+    | LIMIT
+    | JUMPS
+    | DRIFT
+)
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING | SAMPLES
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS | INTERVALS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself

@@ -34,7 +34,7 @@ from taciturn.model.link import LinkLaw as LinkLaw
 from taciturn.model.link import ProtocolName as ProtocolName
 from taciturn.model.link import usual_links
 from taciturn.model.losses import LossLaw
-from taciturn.model.wire import PLANT, Encoding, EncodingName
+from taciturn.model.wire import PLANT, SETPOINT, Encoding, EncodingName
 
 RoleName = Literal["measures", "applies"]
 Entries = bool | tuple[int, ...]
@@ -147,6 +147,7 @@ SHORT: Mapping[tuple[str, str], str] = {
     for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload")
 }
 """The keys of the table [network], which states properties of the links between the usual nodes."""
+RESERVED = PLANT, SETPOINT  # links that are not those of nodes
 REFERENCE = "reference"  # signal of the set-points that the controller is given
 
 
@@ -245,10 +246,10 @@ class Network(Displayed):
     def _check_nodes(self) -> None:
         for name, role in self.nodes.items():
             instance(f"nodes.{name}", role, NodeRole)
-            if not isinstance(cast("object", name), str) or not re.fullmatch(NAME, name) or name == PLANT:
+            if not isinstance(cast("object", name), str) or not re.fullmatch(NAME, name) or name in RESERVED:
                 raise ProblemError(
                     f"nodes.{name} has the name {name!r}; expected a name of at most 32 letters, digits, hyphens and "
-                    f"underscores that begins with a letter and is not {PLANT!r}"
+                    f"underscores that begins with a letter and is not {' or '.join(map(repr, RESERVED))}"
                 )
             home = None if role.site is None else self.nodes.get(role.site)
             if role.site is not None and (home is None or home.site is not None or role.site == name):

@@ -174,12 +174,18 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
         sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs)}
         shapes |= {(kind, link): (exact, size) for kind, size in sizes.items() if size}
         shapes |= {("mark", link): (exact, 0)}
+        shapes |= operator_shapes(link, len(ends.outputs)) if link == SETPOINT else {}
     return shapes
 
 
 def carries_samples(kind: str, link: str) -> bool:
     """Return whether packets are measurements of a plant, in which NaN is a missing output."""
     return kind == "measurement" and link != SETPOINT
+
+
+def operator_shapes(link: str, set_points: int) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
+    """Return the packets between an operator and the controller: set-points; and those received and those in effect."""
+    return {("setpoint", link): (Encoding(), set_points), ("report", link): (Encoding(), 2 * set_points)}
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
@@ -204,6 +210,10 @@ def fingerprint(policy: Policy, network: Network) -> int:
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     limit, rate = policy.model.input_limit, policy.model.input_rate
     limits = [None if limit is None else _sides(limit), *([] if rate is None else [_sides(rate)])]
+    points = None if policy.model.changes is None else policy.model.changes.limits
+    if points is not None:  # few of their limits show in the values of their function
+        limits += [_sides(np.stack([points.low, points.high], axis=1))]
+        limits += [] if points.rate is None else [_sides(points.rate)]
     text = repr(_plain([data, rounding, *limits]))
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
 

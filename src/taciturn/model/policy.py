@@ -40,6 +40,7 @@ from taciturn.model.network import Network
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import Plant, Prediction, about
 from taciturn.model.schedule import Schedule
+from taciturn.model.set_points import keep_set_points
 from taciturn.model.steps import (
     ONE,
     Apply,
@@ -75,7 +76,8 @@ class Policy(Displayed):
     """A control policy as data: the ordered list of policy steps that its nodes execute at each sampling instant.
 
     If the network limits the intervals between sends, the decisions of the policy keep these limits
-    (``taciturn.model.policy``).
+    (``taciturn.model.policy``). If the model limits the set-points, its controller keeps these limits
+    (``taciturn.model.set_points``).
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -119,6 +121,9 @@ class Policy(Displayed):
         """Check that all parts of the policy are consistent."""
         number("tick", self.tick, 0.0)
         for name, value in keep_intervals(self).items():
+            object.__setattr__(self, name, value)
+        kept = keep_set_points(self.steps, self.model, self.theory, self.initial, self.network.controller)
+        for name, value in kept.items():
             object.__setattr__(self, name, value)
         computed = [name for step in self.steps if isinstance(step, Apply) for name in step.signals]
         self.theory.check(self.kind, computed)

@@ -11,6 +11,9 @@ S = 1 and no noise, so that the filter predicts it without an error; a form that
 has another S. Of others, the controller is given the changes at each step, as measured outputs without noise: steps at
 random times, or those of a timetable that repeats.
 
+A controller brings the set-points that it is given between limits, and moves them by at most a limited change per step
+(``set_point_limits``). ``model.set_points`` adds this to a policy.
+
 ``ExternalDisturbance`` and ``SetPoint`` make signals; an ``Exosystem`` is all signals of a plant, one above the other.
 For a new form of set-point, write a subclass of ``Changes``: with ``states`` if it moves by itself, or with ``sampled``
 if it consists of random steps or of changes that repeat, which ``program.signals`` draws. Designs, simulations and
@@ -21,7 +24,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import cos, pi, sin
 from typing import ClassVar, Literal, TypeAlias, get_args
 
@@ -32,6 +35,7 @@ from taciturn._arrays import (
     ArrayLike,
     array,
     block_diagonal,
+    frozen,
     instance,
     number,
     quoted,
@@ -46,8 +50,10 @@ from taciturn.errors import ProblemError
 from taciturn.model.key import NO_KEY, Rows, stated_as
 from taciturn.model.load import Load, stairs
 from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.saturation import Saturation
 
 LONGEST = 100_000  # sampling steps of a timetable
+_ROUNDING = 1e-9  # relative difference of a change from its limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +78,8 @@ class Changes(Displayed):
     """Base class of set-points that change while the loop runs."""
 
     key: ClassVar[str] = "changes"  # of the problem file, after "reference."
+    # range of the set-points, and their largest change per second or step, which the controller enforces; or None
+    limits: Saturation | None = field(default=None, kw_only=True, metadata=NO_KEY)
 
     @property
     @abstractmethod
@@ -96,6 +104,11 @@ class Changes(Displayed):
         """Express the set-points as deviations from the values z."""
         return self
 
+    def limits_from(self, z: Array) -> Saturation | None:
+        """Return the limits of the set-points as deviations from the values z."""
+        one = self.limits
+        return None if one is None else replace(one, low=one.low - z, high=one.high - z)
+
     def sampled(self, period: float) -> RandomSteps | SampledChanges:
         """Return the changes as the controller reads them at the sampling instants."""
         raise NotImplementedError  # a form whose states move by themselves is sampled with the plant
@@ -114,9 +127,10 @@ class RandomSteps(Changes):
     Args:
         rate: mean number of steps per second, or per sampling step of a plant that is discrete in time.
         covariance: covariance of a step, (z, z), positive semidefinite, and not zero unless the rate is 0.
+        limits: range of the set-points, only with the rate 0, and their largest change per second or step; or None.
 
     Raises:
-        ProblemError: the rate is negative, or a step changes nothing.
+        ProblemError: the rate is negative, a step changes nothing, or the steps leave the range.
 
     Example:
         >>> RandomSteps(0.01, [[4.0]]).noise
@@ -127,14 +141,19 @@ class RandomSteps(Changes):
     rate: float
     covariance: Array = field(metadata=stated_as(Rows))
 
-    def __init__(self, rate: float, covariance: ArrayLike) -> None:
+    def __init__(self, rate: float, covariance: ArrayLike, limits: Saturation | None = None) -> None:
         """Validate and store the arguments."""
         rate = number("reference.steps.rate", rate, 0.0, closed=True)
         given = array("reference.steps.covariance", covariance, (None, None), "(set-points, set-points)")
         checked = semidefinite("reference.steps.covariance", given, len(given), "(set-points, set-points)")
         if rate and not checked.any():
             raise ProblemError("reference.steps.covariance is zero; expected the covariance of a step")
-        set_fields(self, {"rate": rate, "covariance": checked})
+        if rate and limits is not None and np.isfinite([limits.low, limits.high]).any():
+            raise ProblemError(
+                "reference.range is given, but steps at random times (reference.steps) leave every range; expected the "
+                "rate 0, so that only an operator changes the set-points, or a timetable (reference.file)"
+            )
+        set_fields(self, {"rate": rate, "covariance": checked, "limits": limits})
 
     @property
     def size(self) -> int:
@@ -148,7 +167,17 @@ class RandomSteps(Changes):
 
     def beside(self, count: int) -> RandomSteps:
         """Add disturbances that the controller is given too, and that do not change by themselves."""
-        return RandomSteps(self.rate, np.pad(self.covariance, (0, count)))
+        limits = None if self.limits is None else self.limits.beside(count)
+        return RandomSteps(self.rate, np.pad(self.covariance, (0, count)), limits)
+
+    @property
+    def exceed(self) -> bool:
+        """True if the steps are larger than the limits allow."""
+        return self.limits is not None and self.rate > 0
+
+    def relative_to(self, z: Array) -> RandomSteps:
+        """Express the limits as deviations from the values z."""
+        return RandomSteps(self.rate, self.covariance, self.limits_from(z))
 
     def sampled(self, period: float) -> RandomSteps:
         """Convert the changes to discrete time: at most one change per period, with the same variance.
@@ -162,7 +191,7 @@ class RandomSteps(Changes):
                 f"reference.steps.rate is {self.rate:g}, more than one step in each sampling period; expected at most "
                 f"{1 / period:g}"
             )
-        return RandomSteps(rate, self.covariance)
+        return RandomSteps(rate, self.covariance, per_step(self.limits, period))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,6 +202,7 @@ class Timetable(Changes):
         times: times of the changes in seconds, or sampling steps of a plant that is discrete in time, (rows,); the
             first is 0, and at the last the timetable begins again.
         values: the set-points from each time on, (rows, z); the last row equals the first.
+        limits: range of the set-points, and their largest change per second or step; or None.
 
     Raises:
         ProblemError: the times do not increase from 0, or the last row differs from the first.
@@ -186,11 +216,11 @@ class Timetable(Changes):
     times: Array
     values: Array
 
-    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+    def __init__(self, times: ArrayLike, values: ArrayLike, limits: Saturation | None = None) -> None:
         """Validate and store the arguments."""
         set_fields(self, {"times": array("reference.file: the times", times, (None,), "(rows,)")})
         shape, meaning = (len(self.times), None), "(rows, set-points)"
-        set_fields(self, {"values": array("reference.file: the set-points", values, shape, meaning)})
+        set_fields(self, {"values": array("reference.file: the set-points", values, shape, meaning), "limits": limits})
         if len(self.times) < 2 or self.times[0] != 0 or not (np.diff(self.times) > 0).all():
             raise ProblemError(
                 f"reference.file has the times {self.times[:6].tolist()}; expected at least two times that increase "
@@ -220,11 +250,12 @@ class Timetable(Changes):
 
     def relative_to(self, z: Array) -> Timetable:
         """Express the set-points of the timetable as deviations from the values z."""
-        return Timetable(self.times, self.values - z)
+        return Timetable(self.times, self.values - z, self.limits_from(z))
 
     def beside(self, count: int) -> Timetable:
         """Add disturbances that the controller is given too, and that do not change by themselves."""
-        return Timetable(self.times, np.pad(self.values, ((0, 0), (0, count))))
+        limits = None if self.limits is None else self.limits.beside(count)
+        return Timetable(self.times, np.pad(self.values, ((0, 0), (0, count))), limits)
 
     def sampled(self, period: float) -> SampledChanges:
         """Convert the changes to discrete time: a change between two sampling instants takes effect at the later one.
@@ -250,7 +281,7 @@ class Timetable(Changes):
             )
         table = np.zeros((int(steps[-1]), self.size))
         table[steps[1:] - 1] = np.diff(self.values, axis=0)
-        return SampledChanges(table)
+        return SampledChanges(table, per_step(self.limits, period))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -259,9 +290,11 @@ class SampledChanges(Displayed):
 
     Args:
         table: the changes, (steps, z).
+        limits: range of the set-points, and their largest change per step; or None.
     """
 
     table: Array
+    limits: Saturation | None = None
 
     @property
     def size(self) -> int:
@@ -272,6 +305,57 @@ class SampledChanges(Displayed):
     def noise(self) -> Array:
         """Mean square of the changes per step."""
         return np.asarray(self.table.T @ self.table / len(self.table), dtype=np.float64)
+
+    @property
+    def exceed(self) -> bool:
+        """True if changes are larger than the limits allow; a timetable is within its range."""
+        rate = None if self.limits is None else self.limits.rate
+        return rate is not None and bool((np.abs(self.table) > rate * (1 + _ROUNDING)).any())
+
+
+def set_point_limits(size: int, within: ArrayLike | None = None, ramp: ArrayLike | None = None) -> Saturation | None:
+    """Return the limits of set-points, in the units of the plant: the range of each, (z, 2), and its largest change,
+    (z,), per second, or per step of a plant that is discrete in time; None without limits.
+    """
+    if within is None and ramp is None:
+        return None
+    sides = np.tile([-np.inf, np.inf], (size, 1))
+    if within is not None:
+        try:
+            sides = np.array(within, dtype=np.float64)
+        except (TypeError, ValueError):
+            sides = np.zeros(0)
+        if sides.shape != (size, 2) or not (sides[:, 0] < sides[:, 1]).all():
+            raise ProblemError(
+                f"reference.range is {quoted(within)}; expected {number_of(size, 'pair')} [low, high] with low < high, "
+                "one for each set-point"
+            )
+    rate = None if ramp is None else array("reference.ramp", ramp, (size,), "(set-points,)")
+    if rate is not None and not (rate > 0).all():
+        raise ProblemError(
+            f"reference.ramp is {rate.min():g}; expected positive numbers (omit this key if there is no limit)"
+        )
+    return Saturation(frozen(sides[:, 0]), frozen(sides[:, 1]), rate)
+
+
+def per_step(limits: Saturation | None, period: float) -> Saturation | None:
+    """Return limits whose largest change is per sampling step instead of per second."""
+    return limits if limits is None or limits.rate is None else replace(limits, rate=limits.rate * period)
+
+
+def expect_within(limits: Saturation | None, points: Array, z: Array | float = 0.0) -> None:
+    """Raise an error if set-points that are known in advance, (rows, z) relative to z, are beyond their range."""
+    if limits is None:
+        return
+    outside = (points < limits.low) | (points > limits.high)
+    if outside.any():
+        row, place = (int(i) for i in np.argwhere(outside)[0])
+        moved = np.broadcast_to(z, limits.low.shape)[place]
+        raise ProblemError(
+            f"set-point {place + 1} is {points[row, place] + moved:g}, beyond reference.range "
+            f"[{limits.low[place] + moved:g}, {limits.high[place] + moved:g}]; expected set-points in this range, or "
+            "another range"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -546,11 +630,15 @@ class Exosystem(Displayed):
                         f"disturbance[{place}].{name} has {number_of(len(got), 'entry')}; expected "
                         f"{number_of(expected, 'entry')}"
                     )
-        changes, at = target.changes, None
-        if point is not None and target.value is not None:
-            at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
-            changes = None if changes is None else changes.relative_to(at)
-        signals += [*target.signals(continuous, changes, at), *known]
+        changes, z0 = target.changes, np.zeros(z)
+        if point is not None:
+            z0 = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
+            changes = None if changes is None else changes.relative_to(z0)
+        own = target.signals(continuous, changes, None if point is None or target.value is None else z0)
+        if changes is not None:
+            started = own[-1].start[None] if changes.known is None else changes.known
+            expect_within(changes.limits, started, z0)
+        signals += [*own, *known]
         changes = None if changes is None or changes.noise is None else changes
         if known:  # they are given as set-points are, and come last
             k = len(known)

@@ -16,13 +16,21 @@ from taciturn._text import number_of
 from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
-PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer"]
-KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer")
+PacketKind = Literal[
+    "data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer", "setpoint", "report"
+]
+KINDS: tuple[PacketKind, ...] = (
+    "data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer", "setpoint", "report"
+)  # fmt: skip
 PLANT = "plant"  # the link between the plant and its nodes
-SETPOINT = "setpoint"  # the link on which the controller is given set-points, as measurements
+# the link on which the controller is given set-points: by a simulated plant as measurements, by an operator as packets
+# of the kind "setpoint", which the controller answers with a "report"
+SETPOINT = "setpoint"
+# number of the link and fingerprint in the challenge of an operator, who learns them from the answer
+ANY_LINK, ANY_POLICY = 255, 0
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
-BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input"})  # kinds that travel against their link
+BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input", "report"})  # kinds that travel against their link
 EITHER: frozenset[PacketKind] = frozenset({"mark", "challenge", "answer"})  # kinds that both ends of a link send
 PROOFS: frozenset[PacketKind] = frozenset({"challenge", "answer"})  # kinds whose payload is a nonce
 VERSION = 2
@@ -47,7 +55,12 @@ HEADER = (
     FieldOfHeader("sequence", "I", "counts the packets of this kind on this link, from 0; 4294967295 ends an epoch"),
     FieldOfHeader("version", "B", f"{VERSION}"),
     FieldOfHeader("kind", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(KINDS))),
-    FieldOfHeader("link", "B", "0: sensor, 1: actuator, 2: plant; with other nodes, the place in the list of links"),
+    FieldOfHeader(
+        "link",
+        "B",
+        "0: sensor, 1: actuator, 2: plant; with other nodes, the place in the list of links; "
+        f"{ANY_LINK} in the challenge of an operator",
+    ),
     FieldOfHeader(
         "encoding",
         "B",
@@ -59,7 +72,11 @@ HEADER = (
     FieldOfHeader("direction", "B", "0: along the link, 1: against it"),
     FieldOfHeader("epoch", "I", "grows when a node starts without its state; sequences begin anew"),
     FieldOfHeader("tick", "Q", "that the packet belongs to"),
-    FieldOfHeader("fingerprint", "Q", "of the policy; nodes of another policy are foreign"),
+    FieldOfHeader(
+        "fingerprint",
+        "Q",
+        f"of the policy; nodes of another policy are foreign; {ANY_POLICY} in the challenge of an operator",
+    ),
 )
 HEADER_FORMAT = "!" + "".join(entry.code for entry in HEADER)
 HEADER_SIZE = struct.calcsize(HEADER_FORMAT)

@@ -10,6 +10,10 @@
 | belongs to another loop or link | `misdirected`, dropped |
 | is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
+| has set-points of a simulated plant, although an operator has given others | `overruled`, dropped |
+
+An operator does not know the number of the step. So the set-points of an operator take effect in the next step, and of
+two packets that arrive before it, the later one by its sequence number; an earlier one is `superseded`.
 
 The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
 decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
@@ -31,7 +35,8 @@ from taciturn.program.node import Arrival
 WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
 AHEAD = 64  # largest number of steps by which a packet may be early
-Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
+Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "superseded", "ahead", "marks", "waiting", "late"]
+OPERATOR = "setpoint", SETPOINT  # kind and link of the packets of an operator
 USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
@@ -89,6 +94,7 @@ class Stream(Displayed):
     size: int  # number of entries of the payload
     part: int  # part of the step that reads the packets
     kept: bool = False  # whether the last payload remains in effect until another packet arrives, as for set-points
+    ordered: bool = False  # whether packets take effect at once, in the order of their sequence numbers
     window: Window = field(default_factory=Window)  # window over the sequence numbers received
     waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])  # packets that wait for their step, by step
     behind: Packet | None = None  # newest late packet, or None
@@ -98,7 +104,10 @@ class Stream(Displayed):
 
 def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
     """Create the streams of packets that a node receives: one for each kind of packet and each link."""
-    return {(a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind == "measurement") for a in arrivals}
+    kept = ("measurement", "setpoint")
+    return {
+        (a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind in kept, a.kind == "setpoint") for a in arrivals
+    }
 
 
 class Inbox:
@@ -144,13 +153,18 @@ class Inbox:
                 f"expected {stream.size} finite numbers of at most {LARGEST:.2g} in magnitude"
             )
         window = self.marks[packet.link] if stream is None else stream.window
-        begun = window.epoch
+        begun, newest = window.epoch, window.newest
         news = window.admit(packet.epoch, packet.sequence)
         if stream is not None and window.epoch > begun:
             self._forget(stream)
         if news != "new":
             self.counters[news] += 1
             return news
+        if stream is not None and stream.ordered:
+            if packet.epoch == begun and packet.sequence < newest:
+                self.counters["superseded"] += 1
+                return "superseded"
+            packet = packet._replace(tick=past + 1)
         if packet.tick > past + AHEAD and past >= 0:
             self.counters["ahead"] += 1
             return "ahead"
@@ -213,6 +227,10 @@ class Inbox:
     def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
         """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
         come = [stream.waiting.pop(number) for number in sorted(stream.waiting) if number <= tick]
+        if not stream.ordered and self.operated:
+            self.counters["overruled"] += len(come)
+            stream.behind = None
+            return
         self.counters["used"] += len(come)
         come += [] if stream.behind is None else [stream.behind]
         stream.behind = None
@@ -221,13 +239,21 @@ class Inbox:
                 stream.newest = packet.tick
                 inputs[stream.at : stream.at + 1 + stream.size] = (1.0, *packet.values)
 
-    def forget(self, link: str) -> None:
-        """Forget the sequence numbers received on a link. Called when the sender starts a new epoch."""
-        for (_, of), stream in self.streams.items():
-            if of == link:
+    @property
+    def operated(self) -> bool:
+        """True if an operator has given set-points; those of a simulated plant then have no effect."""
+        stream = self.streams.get(OPERATOR)
+        return stream is not None and stream.newest >= 0
+
+    def forget(self, link: str, by_operator: bool = False) -> None:
+        """Forget the sequence numbers received on a link, from an operator or the other sender, which starts a new
+        epoch.
+        """
+        for (kind, of), stream in self.streams.items():
+            if of == link and ((kind, of) == OPERATOR) == by_operator:
                 self._forget(stream)
                 stream.window, stream.missing = Window(), 0
-        if link in self.marks:
+        if link in self.marks and not by_operator:
             self.marks[link], self.marked[link] = Window(), -1
 
     def save(self) -> dict[str, Any]:
@@ -248,6 +274,8 @@ class Inbox:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Restore a saved state of the inbox."""
         for name, stream in self.streams.items():
+            if name == OPERATOR and " ".join(name) not in saved["channels"]:
+                continue  # of an earlier release, which had no operators
             kept = saved["channels"][" ".join(name)]
             stream.window.restore(kept["window"])
             stream.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}

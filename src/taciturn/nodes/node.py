@@ -55,6 +55,13 @@ class Stepped(NamedTuple):
     input: Values | None  # plant input if the node contains the actuator, else None
 
 
+class SetPoints(NamedTuple):
+    """Set-points of a controller: those that it was given, and those in effect, within their range and ramp."""
+
+    given: Values
+    in_effect: Values
+
+
 class Node:
     """A node of a policy: sensor, controller or actuator, or several of these at the same site.
 
@@ -127,6 +134,7 @@ class Node:
         self._places = [place.initial for place in program.clocks]
         self._sequences: Counter[str] = Counter()
         self._input: Values = (0.0,) * self._applied
+        self._limited: Values | None = None  # the set-points within their limits, after a step
         self.limits: dict[str, int] = {}  # steps without a packet after which a link is silent
         if watchdog is not None:
             intervals = {link: longest_silence(self.network, link) for link in program.hears}
@@ -191,6 +199,15 @@ class Node:
             (one.kind, one.link): tuple(inputs[one.at + 1 : one.at + 1 + one.size]) if inputs[one.at] else None
             for one in self._layout.arrivals
         }
+
+    @property
+    def set_points(self) -> SetPoints | None:
+        """Set-points that the node was given, and those in effect in the last step; None if it is given none."""
+        one = next((one for one in self._layout.arrivals if one.kind == "measurement"), None)
+        if one is None:
+            return None
+        given = tuple(self._inputs[one.at + 1 : one.at + 1 + one.size])
+        return SetPoints(given, given if self._limited is None else self._limited)
 
     @property
     def remembers(self) -> int:
@@ -379,6 +396,7 @@ class Node:
         if layout.applied is not None and (self._follows or not self.silent):
             self._input = outputs[layout.applied]
         self.options = {name: outputs[i] for name, i in layout.options.items()}
+        self._limited = None if layout.limited is None else outputs[layout.limited]
         return sent
 
     def _execute(self, part: int) -> Values | None:

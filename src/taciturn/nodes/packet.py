@@ -25,6 +25,8 @@ from taciturn.model.network import Network
 from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, plant_links, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import (
+    ANY_LINK,
+    ANY_POLICY,
     AUTHENTICATED,
     BACK,
     BYTES,
@@ -63,8 +65,8 @@ class Packet(NamedTuple):
 
     Args:
         kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
-            ``"answer"`` (proof that its sender is running), or, between plant and nodes, ``"measurement"`` or
-            ``"input"``.
+            ``"answer"`` (proof that its sender is running); between plant and nodes, ``"measurement"`` or ``"input"``;
+            between an operator and the controller, ``"setpoint"`` or ``"report"``.
         link: name of the link, or ``"plant"`` (``"plant/NODE"`` if several nodes measure or apply inputs).
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.
@@ -86,48 +88,21 @@ class Packet(NamedTuple):
     nonce: int = 0
 
 
-class Wire:
-    """Encodes and decodes the packets of one policy.
-
-    Args:
-        policy: policy whose nodes exchange the packets.
-        network: network, which defines the rounding of payloads; default: the network of the design.
-        key: shared secret of 16 to 32 bytes, or the keys of each link; default: packets are not authenticated.
-        entries: number of entries of further kinds of packets, by kind and link; they replace those of the policy.
-
-    Raises:
-        ProblemError: the key is too short or too long, or the range of a rounded payload is missing.
-
-    Example:
-        >>> from taciturn import load
-        >>> wire = Wire(load("two-mass-lqg").design())
-        >>> datagram = wire.encode(Packet("data", "actuator", tick=7, sequence=3, values=(0.25,)))
-        >>> len(datagram), wire.decode(datagram).values
-        (44, (0.25,))
-        >>> wire.decode(datagram[:-1])
-        'corrupted'
+class Frames:
+    """Encodes and decodes the datagrams of a policy that is known by its fingerprint, its links by their numbers, and
+    its packets: encoding and number of entries, by kind and link. Without keys, packets are not authenticated.
     """
 
     def __init__(
         self,
-        policy: Policy,
-        network: Network | None = None,
-        key: bytes | Keys | None = None,
-        entries: Mapping[tuple[PacketKind, str], int] | None = None,
+        fingerprint: int,
+        links: Mapping[int, str],
+        shapes: Mapping[tuple[PacketKind, str], tuple[Encoding, int]],
+        keys: Keys | None,
     ) -> None:
         """Determine the payload format of each kind of packet on each link."""
-        network = policy.network if network is None else network
-        WIRED.check(network)
-        self.fingerprint = fingerprint(policy, network)
-        self.links: tuple[str, ...] = wire_links(policy)
-        self.plant = plant_links(policy)
-        self.physical = frozenset(self.plant) - {SETPOINT}  # without the set-points, which nodes take in by themselves
-        self.keys = Keys.same(key) if isinstance(key, bytes) else key
-        if self.keys is not None:
-            self.keys.expect(self.links)
-        self._codes = {link: code for code, link in enumerate(self.links)}
-        others = {key: (Encoding(), number) for key, number in (entries or {}).items()}
-        shapes = packet_shapes(policy, network) | others
+        self.fingerprint, self._names, self.keys = fingerprint, dict(links), keys
+        self._codes = {link: code for code, link in links.items()}
         self._shapes = {
             (_KIND_CODES[kind], self._codes[link]): _Shape(*shape) for (kind, link), shape in shapes.items()
         }
@@ -205,9 +180,11 @@ class Wire:
             return "foreign"
         if zlib.crc32(datagram[:end]) != _CRC.unpack_from(datagram, end)[0]:
             return "corrupted"
-        if policy != self.fingerprint:
+        asks = (policy, link, kind, back) == (ANY_POLICY, ANY_LINK, _KIND_CODES["challenge"], 0)
+        asks = asks and SETPOINT in self._codes  # an operator, who does not know the policy
+        if policy != self.fingerprint and not asks:
             return "foreign"
-        known = self.links[int(link)] if link < len(self.links) else None
+        known = SETPOINT if asks else self._names.get(link)
         if self.keys is not None and not _is_signed(datagram, self.keys.of(known) if known else ()):
             return "forged"
         if kind >= len(KINDS) or known is None or back not in _DIRECTIONS[kind]:
@@ -219,6 +196,49 @@ class Wire:
 def _carries(packet: Packet, values: Sequence[float]) -> bool:
     """Return whether a packet may contain these numbers."""
     return fits([one for one in values if not isnan(one)] if carries_samples(packet.kind, packet.link) else values)
+
+
+class Wire(Frames):
+    """Encodes and decodes the packets of one policy.
+
+    Args:
+        policy: policy whose nodes exchange the packets.
+        network: network, which defines the rounding of payloads; default: the network of the design.
+        key: shared secret of 16 to 32 bytes, or the keys of each link; default: packets are not authenticated.
+        entries: number of entries of further kinds of packets, by kind and link; they replace those of the policy.
+
+    Raises:
+        ProblemError: the key is too short or too long, or the range of a rounded payload is missing.
+
+    Example:
+        >>> from taciturn import load
+        >>> wire = Wire(load("two-mass-lqg").design())
+        >>> datagram = wire.encode(Packet("data", "actuator", tick=7, sequence=3, values=(0.25,)))
+        >>> len(datagram), wire.decode(datagram).values
+        (44, (0.25,))
+        >>> wire.decode(datagram[:-1])
+        'corrupted'
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        network: Network | None = None,
+        key: bytes | Keys | None = None,
+        entries: Mapping[tuple[PacketKind, str], int] | None = None,
+    ) -> None:
+        """Determine the payload format of each kind of packet on each link."""
+        network = policy.network if network is None else network
+        WIRED.check(network)
+        self.links: tuple[str, ...] = wire_links(policy)
+        self.plant = plant_links(policy)
+        self.physical = frozenset(self.plant) - {SETPOINT}  # without the set-points, which nodes take in by themselves
+        keys = Keys.same(key) if isinstance(key, bytes) else key
+        if keys is not None:
+            keys.expect(self.links)
+        others = {key: (Encoding(), number) for key, number in (entries or {}).items()}
+        shapes = packet_shapes(policy, network) | others
+        super().__init__(fingerprint(policy, network), dict(enumerate(self.links)), shapes, keys)
 
 
 def _is_signed(datagram: bytes, keys: Sequence[bytes]) -> bool:

@@ -23,6 +23,7 @@ from taciturn.loop import Loop
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.policy import Policy, with_intervals
+from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.silence import Life, lives_of
 from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
@@ -79,6 +80,7 @@ class Nodes:
             command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
 
     Attributes:
+        set_points: set-points in effect in the last step, (z,), within their range and ramp.
         silence: what the silence of each node that decides has cost since the start (``Life``), if the policy has a
             bound on every path. It contains neither the effect of applied inputs that differ from the commands, nor
             that of outputs that were not measured.
@@ -139,6 +141,7 @@ class Nodes:
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
         self.reference: list[float] = self.policy.model.given.tolist()
+        self.set_points: list[float] = self.reference
         self._memory = self.turns.start
         self._held: dict[str, Array] = {}
         self.silence: tuple[Life, ...] = lives_of(self.policy.theory.silence, {})
@@ -192,6 +195,8 @@ class Nodes:
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
         self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
         self._held = {copy.held: _values(values, places, copy.held) for copy in self._copies}
+        limited = _values(values, places, IN_EFFECT).tolist()
+        self.set_points = limited or points
         silence = self.policy.theory.silence
         kept = {name for one in silence.values() for name in (one.total, one.lasted)}
         self.silence = lives_of(silence, {name: _values(values, places, name).tolist() for name in kept})

@@ -48,7 +48,8 @@ from taciturn.model.network import SHORT, Network, NodeRole
 from taciturn.model.noise import Noise
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant
-from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
+from taciturn.model.saturation import Saturation
+from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable, set_point_limits
 from taciturn.problem.matlab_and_numpy import read_controller
 from taciturn.problem.schema import (
     ControllerKeys,
@@ -91,8 +92,9 @@ def with_exosystem(
     """Extend the state of a plant by the disturbances and set-points that a problem file states."""
     if points is None and not file.disturbance:
         return plant
-    stated: dict[str, Any] = {"changes": None if points is None else changes_of(points), **(points or {})}
-    nodes, _, _ = (stated.pop(name, None) for name in ("integral_action", "steps", "file"))
+    stated: dict[str, Any] = dict(points or {})
+    names = ("integral_action", "steps", "file", "range", "ramp")
+    nodes, _, _, within, ramp = (stated.pop(name, None) for name in names)
     if nodes == []:
         raise ProblemError(
             "reference.integral_action is empty; expected the names of nodes that measure, or no such key"
@@ -101,12 +103,15 @@ def with_exosystem(
     if "outputs" not in stated:
         rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
         stated |= {"outputs": plant.C[rows], "D": None if plant.D is None else plant.D[rows]}
-    target = SetPoint(**stated)
+    size = len(array("reference.outputs", stated["outputs"], (None, None), "(set-points, states)"))
+    limits = set_point_limits(size, within, ramp)
+    changes = None if points is None else changes_of(points, limits)
     given = [_disturbance(place, one, table.get("E")) for place, one in enumerate(file.disturbance or ())]
-    estimated = nodes or not all(one.hidden for one in given)
-    if points is not None and file.controller is not None and target.changes is None and not estimated:
-        size = len(target.outputs)  # a given controller reads its set-points, also those that only an operator changes
-        target = SetPoint(target.outputs, target.value, RandomSteps(0.0, np.zeros((size, size))), target.D)
+    reads = points is not None and file.controller is not None and not nodes and all(one.hidden for one in given)
+    if changes is None and (limits is not None or reads):
+        # a given controller reads its set-points, also those that only an operator changes
+        changes = RandomSteps(0.0, np.zeros((size, size)), limits)
+    target = SetPoint(**stated, changes=changes)
     given += [] if acting is None else _at_inputs(plant, target)
     return with_target(plant, target, given)
 
@@ -127,16 +132,16 @@ def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturba
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
 
-def changes_of(table: ReferenceKeys) -> Changes | None:
+def changes_of(table: ReferenceKeys, limits: Saturation | None = None) -> Changes | None:
     """Return how the set-points of a table change with time; None if they are constant."""
     if "steps" in table and "file" in table:
         raise ProblemError("reference.steps and reference.file are both given; expected only one of them")
     if "steps" in table:
-        return RandomSteps(**table["steps"])
+        return RandomSteps(**table["steps"], limits=limits)
     if "file" not in table:
         return None
     rows = timed_rows("reference.file", table["file"], "set-points")
-    return Timetable(rows[:, 0], rows[:, 1:])
+    return Timetable(rows[:, 0], rows[:, 1:], limits)
 
 
 def timed_rows(key: str, path: str, noun: str) -> Array:

@@ -244,6 +244,8 @@ class OtherReferenceKeys(Displayed):
 
     steps: Annotated[dict[str, Any], RandomSteps] | None = None
     file: str | None = None
+    range: list[list[float]] | None = None
+    ramp: list[float] | None = None
     integral_action: list[str] | None = None
 
 

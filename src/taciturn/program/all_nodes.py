@@ -23,6 +23,7 @@ from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
+from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import ONE, Assign, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
@@ -54,6 +55,7 @@ def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) 
         name: i for copy in copies_of_inputs(policy) for name, i in named(copy.held, tick.read(copy.held)).items()
     }
     kept = [name for one in policy.theory.silence.values() for name in (one.total, one.lasted)]
+    kept += [IN_EFFECT] if IN_EFFECT in policy.sizes else []
     told = {name: i for signal in kept for name, i in named(signal, tick.read(signal)).items()}
     return tick.finish({}, {**named(APPLIED, tick.signals[APPLIED]), **copies, **told, **tick.packets()})
 

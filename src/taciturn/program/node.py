@@ -27,6 +27,7 @@ from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import is_acknowledged, told_by
 from taciturn.model.policy import Policy
+from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import (
     Acknowledged,
     Assign,
@@ -101,6 +102,8 @@ def translate_node(
         outputs |= {Sent(link): first.as_number(truth), **named(link, first.payload[link])}
     for signal in applied:
         outputs |= named(signal, first.recall(_applied(signal)))
+    if any(IN_EFFECT in assigned(step) for step in own):
+        outputs |= named(IN_EFFECT, first.recall(IN_EFFECT))
     outputs |= first.option_values()
     programs = tuple(
         _with_states(tick, states, outputs if tick is first else {}, places if tick is walked[-1] else [])
@@ -304,8 +307,9 @@ def _flags(decision: str) -> str:
 class Arrival(NamedTuple):
     """Packets or acknowledgements that a node receives on one link, and where they are among the program's inputs."""
 
-    # ``"data"``, ``"acknowledgement"``, or ``"measurement"`` for set-points, of which the last are kept
-    kind: Literal["data", "acknowledgement", "measurement"]
+    # ``"data"``, ``"acknowledgement"``; or for set-points, of which the last are kept, ``"measurement"`` from a plant
+    # and ``"setpoint"`` from an operator, in the same place
+    kind: Literal["data", "acknowledgement", "measurement", "setpoint"]
     link: str  # link on which they arrive
     lag: int  # number of steps between the sending of a packet and the step that reads it
     at: int  # position of the flag "arrived" among the inputs; the payload is after it
@@ -336,6 +340,7 @@ class Layout:
     arrivals: tuple[Arrival, ...]  # the packets that the node reads
     departures: tuple[Departure, ...]  # the packets that the node sends
     applied: slice | None  # positions of the plant's input among the outputs; None if the node does not apply it
+    limited: slice | None  # positions of the set-points within their limits among the outputs; None without limits
     # positions of the values of all trigger options among the outputs, by name
     options: dict[Option, int] = field(hash=False)
     remembers: int  # number of steps after which the effect of a fault, which the theory excludes, is negligible
@@ -360,12 +365,14 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     if policy.network.controller in program.site and REFERENCE in policy.measured:
         given = [Entry(REFERENCE, i) for i in range(sizes[REFERENCE])]
         arrivals.append(Arrival("measurement", SETPOINT, 0, len(names), len(given), 0, False))
+        arrivals.append(arrivals[-1]._replace(kind="setpoint"))
         names += [Received(SETPOINT), *given]
     drawn = slice(len(names), len(names) + (0 if program.draws is None else len(program.draws.outputs)))
     names += [Entry(UNIFORM, i) for i in range(drawn.stop - drawn.start)]
     places = {name: i for i, name in enumerate(names)}
     outputs = {name: i for i, name in enumerate(program.parts[0].outputs)}
     applied = [signal for signal, (node, _) in policy.applied.items() if node in program.site]
+    at = outputs.get(Entry(IN_EFFECT, 0))
     first, number = (outputs[Entry(applied[0], 0)], sum(sizes[name] for name in applied)) if applied else (0, 0)
     return Layout(
         inputs=tuple(names),
@@ -379,6 +386,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
             for link, payload in program.sends.items()
         ),
         applied=slice(first, first + number) if applied else None,
+        limited=None if at is None else slice(at, at + sizes[IN_EFFECT]),
         options={name: i for name, i in outputs.items() if isinstance(name, Option)},
         remembers=steps_of_a_fault(policy),
     )

@@ -39,7 +39,7 @@ from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_te
 from taciturn.model.policy import Policy
 from taciturn.model.result import VERDICT, Field, Result
 from taciturn.model.rule import Rule, choice_of
-from taciturn.model.saturation import limit_entries
+from taciturn.model.saturation import Saturation, limit_entries
 from taciturn.model.signals import Changes, Exosystem
 from taciturn.model.steps import Assign, Decide, Evaluate
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -121,6 +121,15 @@ def _parts(e: Exosystem) -> dict[str, object]:
     return {name: value for name, value in found.items() if name != "D" or value is not None}
 
 
+def _limit_lines(limits: Saturation | None, continuous: bool) -> Lines:
+    """Return the range and the ramp of set-points, as deviations from the operating point."""
+    if limits is None:
+        return []
+    sides = matrix_lines("range of set-points", np.stack([limits.low, limits.high], axis=1))
+    per = "second" if continuous else "step"
+    return sides + ([] if limits.rate is None else [(f"ramp, per {per}", vector_text(limits.rate))])
+
+
 def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]:
     """Return the uncontrollable modes and the unobservable modes."""
     limit = Limit(plant.continuous)
@@ -156,6 +165,7 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
         shown = {"S": e.S, "E": e.E, "G": e.G, "W": e.W, "C_z": e.outputs, "F": e.F + 0.0, "start": e.start[None]}
         shown |= {} if e.D is None else {"D_z": e.D}
         lines += [line for name, value in shown.items() if value.size for line in matrix_lines(f"d, {name}", value)]
+        lines += [] if e.changes is None else _limit_lines(e.changes.limits, plant.continuous)
     return lines
 
 
@@ -198,8 +208,9 @@ def _plain(value: object) -> Any:
         bell = None if value.bell is None else {"height": value.bell.height, "Pi": value.bell.Pi.tolist()}
         parts = {"Psi": _plain(value.Psi), "constant": _plain(value.constant), "plus": dict(value.plus)}
         return {"signals": list(value.signals), **parts, "bell": bell}
-    if isinstance(value, Changes):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Changes | Saturation):
+        held = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {name: _plain(one) for name, one in held.items() if one is not None}
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):

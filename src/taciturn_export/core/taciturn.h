@@ -23,6 +23,7 @@
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_set_keys TAC_SIZED(tac_set_keys)
 #define tac_setpoint TAC_SIZED(tac_setpoint)
+#define tac_setpoints TAC_SIZED(tac_setpoints)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
@@ -107,6 +108,7 @@ typedef struct {
   uint16_t drawn_at;
   uint16_t drawn_count;
   int16_t applied;            /* index of the plant input among the outputs; -1: no actuator */
+  int16_t limited;            /* index of the set-points in effect among the outputs; -1: they are not limited */
   uint8_t measurement_count;  /* size of the measurement, the first inputs of a step, after which as many
                                  * follow that are 1 for an entry, or 0 if it is missing; 0: no sensor */
   uint8_t applied_count;
@@ -173,6 +175,7 @@ typedef struct {
   uint32_t missed, repeated; /* steps */
   uint32_t missing;          /* steps in which an entry of the measurement was missing */
   uint32_t overflowed;       /* steps whose results are too large, so that the memory has started again */
+  uint32_t overruled;        /* packets with set-points that are not those of the operator */
 } tac_counters;
 
 typedef struct {
@@ -203,6 +206,8 @@ typedef struct {
   uint64_t dated; /* step number in the newest received data or mark, plus one, for a clock */
   bool begun;
   bool unheard; /* whether tac_expire was called after the last packet */
+  bool asked;   /* whether an operator has sent a packet since the last step */
+  bool reports; /* whether a report to the operator is to be sent */
 } tac_node;
 
 /* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
@@ -259,6 +264,10 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
  * remain in effect until others are set or arrive. Return false, without effect, if they exceed FLT_MAX or the node is
  * given none. */
 bool tac_setpoint(tac_node *node, const tac_real *values);
+
+/* Write the set-points that were in effect in the last step, within their range and ramp. Return false, without effect,
+ * if the node is given none. */
+bool tac_setpoints(const tac_node *node, tac_real *values);
 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
  * 10000 missed steps, the earlier ones are skipped, as on a host. */

@@ -7,7 +7,8 @@
 #error "TAC_WAITING is no power of two from 4 on"
 #endif
 
-enum { LINK_AT = 6 }; /* position of the link in a datagram */
+enum { LINK_AT = 6 };    /* position of the link in a datagram */
+enum { ANY_LINK = 255 }; /* in the challenge of an operator, who does not know the link */
 enum { WIDTH = 64 };  /* width of the window of sequence numbers */
 
 typedef enum { NEW, DUPLICATE, REPLAYED } news;
@@ -126,6 +127,18 @@ static bool is_ahead(const tac_node *node, uint64_t tick, unsigned ahead) {
   return node->begun && tick > node->tick && tick - node->tick > ahead;
 }
 
+/* Store a packet of an operator, who does not know the step: the newest takes effect in the next step. */
+static bool sort_by_number(tac_node *node, unsigned i, const tac_packet *packet, const tac_window *before) {
+  tac_packet next = *packet;
+  if (before->begun && packet->epoch == before->epoch && packet->sequence < before->newest) {
+    node->counters.superseded++;
+    return false;
+  }
+  next.tick = tac_count_ticks(node);
+  wait_for_tick(node, i, &next);
+  return true;
+}
+
 /* Store a new packet. */
 static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   bool mark = packet->kind == (uint8_t)TAC_MARK;
@@ -160,6 +173,7 @@ void tac_forget(tac_node *node, unsigned i) {
 static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
   tac_channel *channel;
+  tac_window before;
   bool kept = false;
   news found;
   if (packet->loop == node->loop && i < node->data->channel_count && !tac_is_admitted(node, i, packet)) {
@@ -171,6 +185,8 @@ static bool take(tac_node *node, const tac_packet *packet) {
     return false;
   }
   channel = &node->channels[i];
+  before = channel->window;
+  node->asked = node->asked || packet->kind == (uint8_t)TAC_SETPOINT;
   if (packet->kind != (uint8_t)TAC_MARK && channel->window.begun && packet->epoch > channel->window.epoch) {
     tac_forget(node, i);
   }
@@ -180,6 +196,8 @@ static bool take(tac_node *node, const tac_packet *packet) {
     node->counters.replayed++;
   } else if (found == DUPLICATE) {
     node->counters.duplicate++;
+  } else if (packet->kind == (uint8_t)TAC_SETPOINT) {
+    kept = sort_by_number(node, i, packet, &before);
   } else {
     bool timed = packet->kind != (uint8_t)TAC_MEASUREMENT; /* the sender of set-points need not know the step */
     if (timed && packet->tick >= node->newest && packet->tick < UINT64_MAX) {
@@ -205,6 +223,8 @@ bool tac_ready(const tac_node *node) {
     unsigned place = (unsigned)(tick % (uint64_t)TAC_WAITING);
     if (node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT) {
       ready = channel->waits[place] && channel->waiting[place].tick == tick;
+    } else if (node->data->channels[i].kind == (uint8_t)TAC_SETPOINT) {
+      /* an operator need not send any */
     } else {
       ready = channel->marked + node->data->channels[i].lag > tick;
     }
@@ -228,9 +248,15 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
  * expected, but no tag is correct. */
 static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
   unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
-  const tac_key *keys = node->keys[(link < (unsigned)TAC_LINKS) ? link : 0U];
-  bool has_key = keys[0].bytes != NULL;
+  unsigned own = tac_operator(node->data);
+  const tac_key *keys;
+  bool has_key;
   tac_verdict verdict;
+  if (link == (unsigned)ANY_LINK && own < node->data->channel_count) {
+    link = node->data->channels[own].link;
+  }
+  keys = node->keys[(link < (unsigned)TAC_LINKS) ? link : 0U];
+  has_key = keys[0].bytes != NULL;
   for (unsigned i = 0U; !has_key && keys[0].bytes == NULL && i < (unsigned)TAC_LINKS; i++) {
     keys = node->keys[i];
   }
@@ -266,15 +292,23 @@ static void put_inputs(const tac_channel_data *data, const tac_packet *packet, t
   }
 }
 
+/* Return whether other set-points than those of a channel have no effect, because an operator has given some. */
+static bool is_overruled(const tac_node *node, unsigned i) {
+  unsigned own = tac_operator(node->data);
+  return own < node->data->channel_count && i != own && node->channels[own].newest > 0U;
+}
+
 /* Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain. */
 static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
+  bool overruled = is_overruled(node, i);
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     const tac_packet *known = &channel->waiting[place];
     if (channel->waits[place] && known->tick <= tick) {
       channel->waits[place] = false;
-      node->counters.used++;
+      node->counters.used += overruled ? 0U : 1U;
+      node->counters.overruled += overruled ? 1U : 0U;
       packet = (packet == NULL || known->tick > packet->tick) ? known : packet;
     }
   }
@@ -282,7 +316,7 @@ static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
     channel->has_behind = false;
     packet = (packet == NULL || channel->behind.tick >= packet->tick) ? &channel->behind : packet;
   }
-  if (packet != NULL && packet->tick + 1U >= channel->newest) {
+  if (packet != NULL && !overruled && packet->tick + 1U >= channel->newest) {
     channel->newest = packet->tick + 1U;
     put_inputs(&node->data->channels[i], packet, node->inputs);
   }
@@ -293,7 +327,7 @@ void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
   uint32_t missing = count_missing(&channel->window);
-  if (data->kind == (uint8_t)TAC_MEASUREMENT) {
+  if (data->kind == (uint8_t)TAC_MEASUREMENT || data->kind == (uint8_t)TAC_SETPOINT) {
     collect_kept(node, i, tick);
     return;
   }

@@ -247,12 +247,20 @@ static bool is_measurement(const tac_node_data *data, const tac_real *measuremen
   return found;
 }
 
-unsigned tac_set_points(const tac_node_data *data) {
+static unsigned find_kind(const tac_node_data *data, uint8_t kind) {
   unsigned i = 0U;
-  while (i < data->channel_count && data->channels[i].kind != (uint8_t)TAC_MEASUREMENT) {
+  while (i < data->channel_count && data->channels[i].kind != kind) {
     i++;
   }
   return i;
+}
+
+unsigned tac_set_points(const tac_node_data *data) {
+  return find_kind(data, (uint8_t)TAC_MEASUREMENT);
+}
+
+unsigned tac_operator(const tac_node_data *data) {
+  return find_kind(data, (uint8_t)TAC_SETPOINT);
 }
 
 uint8_t tac_set_point_count(const tac_node_data *data) {
@@ -270,6 +278,20 @@ bool tac_setpoint(tac_node *node, const tac_real *values) {
   return true;
 }
 
+bool tac_setpoints(const tac_node *node, tac_real *values) {
+  unsigned i = tac_set_points(node->data);
+  uint8_t count = tac_set_point_count(node->data);
+  if (count == 0U) {
+    return false;
+  }
+  if (node->data->limited >= 0 && node->begun && tac_fits(&node->outputs[node->data->limited], count)) {
+    copy(values, &node->outputs[node->data->limited], count);
+  } else {
+    copy(values, &node->inputs[node->data->channels[i].at + 1U], count);
+  }
+  return true;
+}
+
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
   if (tick == UINT64_MAX || !is_measurement(node->data, measurement)) {
     return false;
@@ -283,6 +305,8 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
     return false;
   }
   advance(node, tick, measurement, drawn);
+  node->reports = node->reports || node->asked;
+  node->asked = false;
   return true;
 }
 
@@ -339,6 +363,8 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->tick = 0U;
   node->begun = false;
   node->unheard = false;
+  node->asked = false;
+  node->reports = false;
   node->newest = 0U;
   node->dated = 0U;
   node->degraded_until = 0U;

@@ -80,8 +80,33 @@ static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
   return hand_out(node, &packet, &marks->sequence, datagram);
 }
 
+/* Report to an operator: the set-points received and in effect, his newest packet, and the next step. */
+static size_t report(tac_node *node, uint8_t *datagram) {
+  unsigned i = tac_operator(node->data);
+  const tac_window *window = &node->channels[i].window;
+  uint8_t count = tac_set_point_count(node->data);
+  tac_packet packet;
+  (void)memset(&packet, 0, sizeof packet);
+  packet.kind = (uint8_t)TAC_REPORT;
+  packet.link = node->data->channels[i].link;
+  packet.loop = node->loop;
+  packet.entries = (uint8_t)(2U * count);
+  packet.tick = tac_count_ticks(node);
+  packet.epoch = window->begun ? window->epoch : 0U;
+  packet.sequence = window->begun ? window->newest : 0U;
+  for (unsigned k = 0U; k < count; k++) {
+    packet.values[k] = node->inputs[node->data->channels[i].at + 1U + k];
+  }
+  (void)tac_setpoints(node, &packet.values[count]);
+  node->reports = false;
+  return tac_encode(&node->data->wire, node->keys[packet.link][0], &packet, datagram);
+}
+
 size_t tac_send(tac_node *node, uint8_t *datagram) {
   size_t size = tac_send_proof(node, datagram);
+  if (size == 0U && node->reports) {
+    size = report(node, datagram);
+  }
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
     if (node->channels[i].tells) {
       size = acknowledge(node, i, datagram);

@@ -5,9 +5,10 @@
 #include "taciturn_parts.h"
 
 enum { HEADER_SIZE = 32, CRC_SIZE = 4, TAG_SIZE = 16, LEAST_KEY = 16, MOST_KEY = 32 };
-enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 7, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
+enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 9, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
 enum { AT_SEQUENCE = 0, AT_VERSION = 4, AT_KIND = 5, AT_LINK = 6, AT_ENCODING = 7, AT_LOOP = 8, AT_ENTRIES = 10 };
 enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
+enum { ANY_LINK = 255, ANY_POLICY = 0 }; /* in the challenge of an operator, who learns them from the answer */
 
 #if TAC_FLOAT32
 #define ROUNDER 12582912.0f /* 1.5 * 2^23: adding and subtracting it rounds to the nearest integer, ties to even */
@@ -167,7 +168,24 @@ static bool has_both(uint8_t kind) {
 
 /* Return whether packets of a kind that only one end sends travel against the link. */
 static bool is_backward(uint8_t kind) {
-  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT;
+  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT || kind == (uint8_t)TAC_REPORT;
+}
+
+/* Return the link on which an operator gives set-points, or ANY_LINK if there is none. */
+static uint8_t find_operator(const tac_wire *wire) {
+  for (unsigned i = 0U; i < wire->shape_count; i++) {
+    if (wire->shapes[i].kind == (uint8_t)TAC_SETPOINT) {
+      return wire->shapes[i].link;
+    }
+  }
+  return (uint8_t)ANY_LINK;
+}
+
+/* Return whether an operator, who does not know the policy, sends a challenge. */
+static bool asks(const tac_wire *wire, const uint8_t *datagram) {
+  return datagram[AT_KIND] == (uint8_t)TAC_CHALLENGE && datagram[AT_LINK] == (uint8_t)ANY_LINK &&
+         datagram[AT_DIRECTION] == 0U && tac_get(&datagram[AT_FINGERPRINT], 8U) == (uint64_t)ANY_POLICY &&
+         find_operator(wire) != (uint8_t)ANY_LINK;
 }
 
 static void put_header(const tac_wire *wire, uint8_t coded, const tac_packet *packet, uint8_t *datagram) {
@@ -230,7 +248,7 @@ static tac_verdict check(const tac_wire *wire, tac_key key, const uint8_t *datag
   if (tac_checksum(0U, datagram, end) != (uint32_t)tac_get(&datagram[end], (unsigned)CRC_SIZE)) {
     return TAC_CORRUPTED;
   }
-  if (tac_get(&datagram[AT_FINGERPRINT], 8U) != wire->fingerprint) {
+  if (tac_get(&datagram[AT_FINGERPRINT], 8U) != wire->fingerprint && !asks(wire, datagram)) {
     return TAC_FOREIGN;
   }
   if (authenticated && !has_tag(key, datagram, end + (size_t)CRC_SIZE)) {
@@ -255,7 +273,7 @@ static bool has_link(const tac_wire *wire, uint8_t link) {
 /* Read the nonce of a challenge or an answer. Return false if the format is wrong. */
 static bool read_nonce(const tac_wire *wire, const uint8_t *datagram, size_t size, tac_packet *packet) {
   if (size != (size_t)NONCE_SIZE || (datagram[AT_ENCODING] & 0x7FU) != (unsigned)ENCODED_BYTES ||
-      datagram[AT_ENTRIES] != 0U || !has_link(wire, datagram[AT_LINK])) {
+      datagram[AT_ENTRIES] != 0U || !has_link(wire, packet->link)) {
     return false;
   }
   packet->nonce = tac_get(&datagram[HEADER_SIZE], (unsigned)NONCE_SIZE);
@@ -287,7 +305,7 @@ tac_verdict tac_decode(const tac_wire *wire, tac_key key, const uint8_t *datagra
   }
   packet->sequence = (uint32_t)tac_get(&datagram[AT_SEQUENCE], 4U);
   packet->kind = datagram[AT_KIND];
-  packet->link = datagram[AT_LINK];
+  packet->link = asks(wire, datagram) ? find_operator(wire) : datagram[AT_LINK];
   packet->loop = (uint16_t)tac_get(&datagram[AT_LOOP], 2U);
   packet->entries = datagram[AT_ENTRIES];
   packet->back = has_both(packet->kind) && datagram[AT_DIRECTION] == 1U;

@@ -40,7 +40,8 @@ typedef float tac_real;
 typedef double tac_real;
 #endif
 
-enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER };
+enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER, TAC_SETPOINT,
+       TAC_REPORT };
 enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links of three nodes */
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
@@ -57,7 +58,7 @@ typedef struct {
   uint8_t entries;
   bool back; /* whether a mark, a challenge or an answer travels against the link; other kinds have one direction */
   tac_real values[TAC_VALUES];
-} tac_packet;
+} tac_packet; /* an operator gives a controller set-points as TAC_SETPOINT, and receives a TAC_REPORT */
 
 /* The payload format of packets of one kind on one link. With int16, a value is an integer multiple of a step size:
  * `per_unit` and `per_step` contain steps per unit and units per step of each entry. Otherwise they are NULL. */

@@ -22,6 +22,7 @@
 #define tac_set_point_count TAC_SIZED(tac_set_point_count)
 #define tac_set_points TAC_SIZED(tac_set_points)
 #define tac_talks TAC_SIZED(tac_talks)
+#define tac_operator TAC_SIZED(tac_operator)
 
 #ifdef __cplusplus
 extern "C" {
@@ -67,6 +68,9 @@ bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
 
 /* Return the number of the channel on which a node is given set-points, or the number of channels if there is none. */
 unsigned tac_set_points(const tac_node_data *data);
+
+/* Return the number of the channel of an operator, or the number of channels if there is none. */
+unsigned tac_operator(const tac_node_data *data);
 
 /* Return the number of set-points that a node is given. */
 uint8_t tac_set_point_count(const tac_node_data *data);

@@ -61,8 +61,24 @@ static void accept_answer(tac_node *node, unsigned i, const tac_packet *packet) 
   channel->challenges = false;
 }
 
+/* Answer the challenge of an operator, and report to him. Return false if it is another challenge. */
+static bool greet(tac_node *node, const tac_packet *packet) {
+  unsigned i = tac_operator(node->data);
+  if (packet->kind != (uint8_t)TAC_CHALLENGE || packet->back || packet->loop != node->loop ||
+      i == node->data->channel_count || node->data->channels[i].link != packet->link) {
+    return false;
+  }
+  node->proofs[packet->link].nonce = packet->nonce;
+  node->proofs[packet->link].answers = true;
+  node->reports = true;
+  return true;
+}
+
 void tac_take_proof(tac_node *node, const tac_packet *packet) {
   node->counters.proofs++;
+  if (greet(node, packet)) {
+    return;
+  }
   if (packet->loop != node->loop || packet->link >= (uint8_t)TAC_LINKS ||
       node->keys[packet->link][0].bytes == NULL) {
     return;
@@ -106,12 +122,16 @@ static size_t send_challenge(tac_node *node, unsigned i, uint8_t *datagram) {
 
 static size_t send_answer(tac_node *node, uint8_t link, uint8_t *datagram) {
   uint64_t ticks = tac_count_ticks(node);
+  unsigned own = tac_operator(node->data);
   tac_packet packet;
   (void)memset(&packet, 0, sizeof packet);
   packet.kind = (uint8_t)TAC_ANSWER;
   packet.back = !tac_talks(node->data, link, false);
   packet.nonce = node->proofs[link].nonce;
   packet.epoch = node->epoch;
+  if (own < node->data->channel_count && node->data->channels[own].link == link) { /* the last one of an operator */
+    packet.epoch = node->channels[own].window.begun ? node->channels[own].window.epoch : 0U;
+  }
   packet.tick = (ticks > (uint64_t)VALID) ? (ticks - (uint64_t)VALID) : 0U;
   return write_packet(node, &packet, link, datagram);
 }
