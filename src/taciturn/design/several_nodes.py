@@ -536,7 +536,10 @@ class JointSets(Displayed):
         if guarantee is not None and guarantee.base is not None:
             statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
             guarantee = replace(guarantee, statement=statement, weights=self.weights)
-        return replace(theory, identity=identity, guarantee=guarantee, reset=None, periodic=None)
+        functions = theory.functions | {self.named(name, sent) for name in theory.functions for sent in self.all}
+        return replace(
+            theory, identity=identity, guarantee=guarantee, reset=None, periodic=None, functions=frozenset(functions)
+        )
 
     def _trigger(self, trigger: Trigger) -> Trigger:
         silent, price = trigger.options.values()
