@@ -68,6 +68,9 @@ def excess(
     Since e'He ≤ δ after each decision, the loop equals that of sending every sample under a bounded disturbance, and is
     mean-square stable.
 
+    With limits of the inputs, silence costs what a forecast of ten steps without a packet costs more than one with a
+    packet, and no bound holds.
+
     With a ``controller``, this controller computes the input instead, and J_all is its cost with every sample. Silence
     costs E[e'He + 2e'(slope)z] more, now and later, with the weights of its value (``design/base``), and a packet is
     sent iff this exceeds δ. It can be negative: δ = 0 sends less and costs less than the controller with every sample.
