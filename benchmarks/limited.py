@@ -100,10 +100,10 @@ def four_tanks() -> Callable[[float], Policy]:
 
 
 def pid_tank(tracking: float | None) -> Callable[[float], Policy]:
-    """Return the built-in tank with a valve that its demand often exceeds."""
+    """Return the built-in tank with a valve that its demand sometimes exceeds."""
     problem = taciturn.load("pid-tank")
     plant, pid = problem.plant, PID(1.2, 0.15, 1.0, 0.5, tracking_time=tracking)
-    limited = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, plant.dt, input_limit=[[-0.15, 0.2]])
+    limited = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, plant.dt, input_limit=[0.3])
     return design(limited, problem.cost, controller=pid)
 
 
@@ -166,6 +166,7 @@ def points(made: Callable[[float], Policy], ahead: int | None) -> np.ndarray:
 def at_rates(curve: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the interpolated costs at these rates, and the relative standard errors of the nearest points."""
     known = np.log(np.maximum(curve[:, 0], 1e-9))
+    assert rates.min() >= curve[0, 0], f"expected rates of at least {curve[0, 0]:g}"
     costs = np.exp(np.interp(np.log(rates), known, np.log(curve[:, 1])))
     return costs, np.interp(np.log(rates), known, curve[:, 2] / curve[:, 1])
 
