@@ -76,6 +76,20 @@ def random_plants() -> None:
     assert all(counts[actuation, "excess", "clock"][1] == 0 for actuation in ("hold", "model"))
 
 
+def limited() -> None:
+    """Print what forecasts with the limits of inputs change at equal rates, and check what the page says of them."""
+    ahead = (1, 3, 10, 30)
+    print(f"{'loop':22}{'at a limit':>11}{'rate':>7}{'':3}{''.join(f'{k:>7}' for k in ahead)}{'±':>7}")
+    for cell in measured("limited"):
+        name, share = cell["loop"], f"{cell['at a limit']:.0%}"
+        for i, rate in enumerate(cell["rates"]):
+            change = [100 * (cell[f"forecast of {k}"][i] / cell["without"][i] - 1) for k in ahead]
+            shown = "".join(f"{one:>+7.1f}" for one in change)
+            print(f"{name:22}{share:>11}{rate:>7.2f}{'':3}{shown}{100 * cell['errors'][i]:>7.1f}")
+            assert change[2] < 1
+            name = share = ""
+
+
 def engine() -> None:
     """Print the speed of simulations of the two masses."""
     found = measured("benchmarks")

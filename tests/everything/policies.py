@@ -65,8 +65,8 @@ class Certainty:
         self._expect_linear()
 
     def _expect_linear(self) -> None:
-        """Claim no exact cost of a nonlinear plant."""
-        if self.model.function is not None:
+        """Claim no exact cost of a nonlinear plant, or of inputs with limits."""
+        if self.model.function is not None or self.model.limited:
             self.nominal, self.exact = self.exact or 0.0, None
 
     def _design_total(self, A: Array, B: Array) -> None:
@@ -145,7 +145,8 @@ class Certainty:
         self.prior = np.zeros((paths, len(model.A)))
         if not model.average:
             self.prior[:, : model.n] = model.mean
-        self.held = np.zeros((paths, model.m))
+        self.held = np.clip(np.zeros((paths, model.m)), model.low, model.high)
+        self.wanted = self.held  # the last command sent
         self.last = self.prior.copy()  # the last estimate sent, or its prediction
         self.memory: dict[str, Array] = {}
         self.sent_command = self.held.copy()
@@ -164,26 +165,27 @@ class Certainty:
             self.estimate = y
         else:
             self.estimate = self.prior + (y - self.prior @ model.C.T) @ self.at(self.gains).T
-        self.command = self.estimate @ self.L.T
-        if self.actuation == "model":
-            self.candidate = self.last @ self.L.T
-        else:
-            self.candidate = self.held
-        self.error, self.deviation = self.candidate - self.command, self.last - self.estimate
-        self._limits()
-        sends = np.ones(len(y), dtype=bool) if self.rule is None else self.channel.allowed(self.rule(self))
+        command = self.estimate @ self.L.T
+        candidate = self.last @ self.L.T if self.actuation == "model" else self.wanted
+        self.command, self.candidate = (np.clip(one, model.low, model.high) for one in (command, candidate))
+        changes = reached(model, self.command, self.held) != reached(model, self.candidate, self.held)
+        self.error, self.deviation = candidate - command, self.last - self.estimate
+        if model.limited:  # no error where a packet changes no input, and no packet that changes none
+            self.error = np.where(changes, self.error, 0.0)
+        sends = np.ones(len(y), dtype=bool)
+        if self.rule is not None:
+            useful = changes.any(axis=1) | (not model.limited or self.actuation == "model")
+            sends = self.channel.allowed(self.rule(self) & useful)
         self.decided(sends)
-        applied = np.where(sends[:, None], self.send(), self.candidate)
+        self.wanted = np.where(sends[:, None], self.send(), self.candidate)
+        applied = reached(model, self.wanted, self.held)
         self.last = np.where(sends[:, None], self.estimate, self.last)
         if self.actuation == "model":
-            self.last = self.last @ (model.A + model.B @ self.L).T
+            moved = applied if model.limited else self.last @ self.L.T
+            self.last = self.last @ model.A.T + moved @ model.B.T
         self.held = applied
         self.prior = self.estimate @ model.A.T + applied @ model.B.T
         return applied, {self.link: sends.astype(float)}
-
-    def _limits(self) -> None:
-        if self.model.limited:
-            raise NotModelledError("limits of the inputs")
 
     def send(self) -> Array:
         """Return the input of a packet."""
@@ -209,6 +211,8 @@ class Rules:
             exact = base.nominal if base.exact is None else base.exact
             steps = model.horizon or (1 / (1 - model.discount) if model.discount < 1 else 1.0)
             delta = policy["theta"] * (exact - steps * model.rest) / steps
+        if model.limited and model.average:
+            return lambda loop: (followed(loop, loop.candidate) - followed(loop, loop.command)) > delta
         return lambda loop: quadratic(loop.error, loop.H) > delta
 
     @staticmethod
@@ -281,6 +285,25 @@ class Rules:
         if base.model.q + base.model.s:
             raise NotModelledError("the error of a state with disturbances")
         return Downsampled(policy["fast"], policy["slow"], policy["threshold"])
+
+
+def reached(model: Model, wanted: Array, before: Array) -> Array:
+    """Return the inputs that an actuator applies: towards what is wanted by at most a rate, and within limits."""
+    return np.clip(np.clip(wanted, before - model.slew, before + model.slew), model.low, model.high)
+
+
+def followed(loop: Certainty, wanted: Array) -> Array:
+    """Return what ten steps cost without noise, if one input is wanted now and then every command, and the value of
+    the state that they reach.
+    """
+    model, z, before, total = loop.model, loop.estimate, loop.held, 0.0
+    for _ in range(10):
+        before = reached(model, wanted, before)
+        total = total + quadratic(np.hstack([z, before]), model.stage)
+        z = z @ model.A.T + before @ model.B.T
+        wanted = z @ loop.L.T
+    there = z[:, : model.n] - z[:, model.n :] @ model.X.T
+    return np.asarray(total + quadratic(there, loop.K))
 
 
 def squares(model: Model, rows: Array) -> Array:
@@ -366,10 +389,11 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
     nodes = nodes_of(tables, len(model.C), model.m)
     if kind in ("remote-lqg", "lossy-lqg"):
         return remote_policy(tables, model, nodes)
-    if model.limited:
-        raise NotModelledError("limits of the inputs")
     wired = all(name not in nodes.laws for name in nodes.sensors) if nodes.named else True
     linked = [name for name in nodes.actuators if name in nodes.laws]
+    alone = kind == "all-time" or hasattr(Rules, kind)
+    if model.limited and not (alone and "controller" not in tables and not nodes.lossy and kind != "downsampled"):
+        raise NotModelledError("limits of the inputs of this kind")
     if kind in ("distributed", "variance") or (kind == "send-on-delta" and (nodes.named or "controller" not in tables)):
         return node_policy(tables, model, nodes, all_time)
     keeps = kind in ("excess", "send-on-delta", "symmetric-send-on-delta", *EVENTS) or (
@@ -378,6 +402,8 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
     if not keeps and ("controller" in tables or nodes.lossy):
         raise NotModelledError(f"a controller or losses with {kind}")
     options = {"every", "gains", "retry", "link"} & set(policy) if keeps else set()
+    if model.limited and options:
+        raise NotModelledError("limits of the inputs for a base of this kind")
     if not nodes.named and ("controller" in tables or nodes.lossy or options):
         return kept_policy(tables, model, nodes)
     if nodes.named:

@@ -394,10 +394,10 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     known = {
         f"limits of the intervals between sends ({', '.join(IDEAL_LINK.intervals)}) are given": INTERVALS
         - {"Trigger.excluded"},
-        f"{policy.kind} chooses silence only at certain times": INTERVALS & {"Trigger.excluded"},
         "the plant is not linear": FUNCTION,
         "inputs are clipped (input_limit)": LIMIT & {"plant.input_limit"},
         "the changes of the inputs are limited (input_rate)": LIMIT & {"plant.input_rate"},
+        f"{policy.kind} chooses silence only at certain times": INTERVALS & {"Trigger.excluded"},
         f"{policy.kind} {_beyond(functions[0]) if functions else ''}": FUNCTIONS,
         f"{policy.kind} follows a reference": TRACKING,
         f"{policy.kind} adds constants": frozenset({ONE} if constants else ()),

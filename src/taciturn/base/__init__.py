@@ -11,5 +11,6 @@ Read the modules in this order:
 4. ``certainty``: LQG as a base. ``gains``: its gains for a horizon, a discount, or links that drop packets.
 5. ``given_controller``: the loop of a controller of the user, with its slow disturbance and its set-point.
 6. ``response``: the response of such a loop to its own silence, whatever the noise is.
-7. ``nominal``: a policy with what its base fixes. ``anti_windup``: a policy for inputs with limits.
+7. ``nominal``: a policy with what its base fixes. ``anti_windup``: a policy for inputs with limits, and
+   ``limited_value``: the cost of silence for these.
 """

@@ -6,10 +6,13 @@ input that the plant never received. For a plant with limits, the policy steps o
 - A controller commands only inputs between the lower and the upper limit: the values of ``command``, ``candidate`` and
   ``held`` are brought within the limits.
 - Triggers use the ``error`` of the command without limits, so that they see how far the state is from its place. For an
-  input that a packet would not change, because the actuator is at the limit already, the error is 0.
+  input that a packet would not change in this step, the error is 0.
 - If the change per step is limited, ``held`` is the input that the actuator has reached on its way to the command, and
   ``wanted held`` the command that it still has. Triggers compare commands; filters and models use ``held``.
 - An actuator that runs a model uses the input that it applies.
+- A decision on one link to an actuator that holds its input excludes a packet that would change no input in this step,
+  whatever else asks for a packet, except for a heartbeat. Nothing is lost: to each rule belongs another one that sends
+  the same value later, when it first changes the input, so it applies the same inputs with no more packets.
 """
 
 from __future__ import annotations
@@ -26,11 +29,12 @@ from taciturn.base.filter import HELD
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation, limit_entries
-from taciturn.model.steps import ONE, Apply, Assign, Step, Terms, assigned, read
-from taciturn.model.trigger import Matrix
+from taciturn.model.steps import ONE, Apply, Assign, Decide, Send, Step, Terms, assigned, read
+from taciturn.model.trigger import Form, Matrix
 
 NAMES = ("command", "candidate", "silent", HELD)  # inputs as a node computes them; with several actuators, NAME_NODE
 COMPARED = ("error", "moved")  # differences of commands
+CHANGED = "changed inputs"  # number of inputs that a packet changes
 
 
 def within_limits(policy: Policy) -> Policy:
@@ -62,6 +66,7 @@ class _Limited:
         self._rows: Mapping[str, list[int]] = found
         self._reached: dict[str, str] = {}  # by command, the signal of the input that an actuator applies
         self._unlimited: dict[str, str] = {}  # by input, the signal of its value before the limits
+        self._errors: dict[str, Assign] = {}  # by command, the step that compares it with the input without a packet
 
     def policy(self) -> Policy:
         """Return the given policy with the policy steps for anti-windup added."""
@@ -72,7 +77,7 @@ class _Limited:
         return replace(
             self._policy,
             steps=steps,
-            theory=replace(theory, functions=theory.functions | computed),
+            theory=replace(theory, functions=theory.functions | computed, covers=theory.covers | {"Trigger.excluded"}),
             initial={**self._policy.initial, **{name: value for name, value in self._begun.items() if name in made}},
         )
 
@@ -91,6 +96,9 @@ class _Limited:
         return self._limits.of(self._rows[signal])
 
     def _steps(self, step: Step) -> Iterator[Step]:
+        if isinstance(step, Decide):
+            yield from self._decided(step)
+            return
         if not isinstance(step, Assign):
             yield step
             return
@@ -131,11 +139,39 @@ class _Limited:
     def _compared(self, step: Assign, names: Mapping[str, str]) -> Iterator[Step]:
         """Return the steps of a difference of commands: without limits, but 0 where the limits make them equal."""
         (terms,), raw, limited = step.branches, f"unlimited {step.signal}", f"limited {step.signal}"
+        self._errors |= dict.fromkeys(terms, step)
         both = tuple(names.get(name, name) for name in terms)
+        if self._limits.moves:  # what the actuator reaches in this step
+            stem = step.signal.partition("_")[0]
+            held, limits = HELD + step.signal[len(stem) :], self._of(next(name for name in terms if name in self._rows))
+            found = tuple(f"{name} for {step.signal}" for name in both)
+            for name, wanted in zip(found, both, strict=True):
+                yield Apply(step.at, {name: step.size}, limits, (wanted, held))
+            both = found
         apart = {self._unlimited.get(name, names.get(name, name)): matrix for name, matrix in terms.items()}
         yield Assign(step.at, raw, apart)
         yield Apply(step.at, {limited: step.size}, _where_apart, (raw, *both))
         yield Assign(step.at, step.signal, {limited: np.eye(step.size)})
+
+    def _decided(self, step: Decide) -> Iterator[Step]:
+        """Return the steps of a decision, which excludes a packet that changes no input that the actuator applies."""
+        sends = [one for one in self._policy.steps if isinstance(one, Send) and one.on == step.decision]
+        found = self._errors.get(sends[0].payload[0]) if len(sends) == 1 else None
+        # with several links, the first or cheapest set of packets never contains one without an effect
+        if (
+            found is None
+            or not step.trigger.reads
+            or len(sends[0].payload) > 1
+            or not self._policy.holds(sends[0].link)
+        ):
+            yield step
+            return
+        name = CHANGED + found.signal[len(found.signal.partition("_")[0]) :]
+        yield Apply(step.at, {name: 1}, _count, (found.signal,))
+        none, trigger = Form(constant=0.5, plus={name: -1.0}), step.trigger
+        labels = sends[0].sending(trigger.labels)
+        more = {label: (*trigger.excluded.get(label, ()), none) for label in labels}
+        yield replace(step, trigger=replace(trigger, excluded={**trigger.excluded, **more}))
 
     def _is_held(self, signal: str) -> bool:
         return signal in self._rows and signal not in self._inputs and signal.partition("_")[0] == HELD
@@ -169,6 +205,11 @@ def _assigned(step: Assign, signal: str, branches: tuple[Terms, ...]) -> Assign:
 def _where_apart(difference: Any, one: Any, other: Any) -> Any:
     """Return the difference of two commands, or 0 for inputs on which they have the same effect."""
     return np.where(one == other, 0.0, difference)
+
+
+def _count(difference: Any) -> Any:
+    """Return the number of entries that are not 0."""
+    return sum(np.where(difference[i] == 0.0, 0.0, 1.0) for i in range(len(difference)))
 
 
 def _is_difference(step: Assign) -> bool:

@@ -272,6 +272,7 @@ def certainty_policy(
     reset: Reset | None = None,
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
+    functions: frozenset[str] = frozenset(),
 ) -> Policy:
     """Return the policy whose controller is at the sensor's site and sends the inputs over the link to the actuator."""
     problem, fixed_rates = certainty.problem, fixed_rates or {}
@@ -290,6 +291,7 @@ def certainty_policy(
         closed_form=closed_form,
         reset=reset,
         fixed_rates=fixed_rates,
+        functions=functions,
         covers=GAUSSIAN_THEORY if closed_form is None else THEORY,
     )
     return certainty.nominal(slower).policy(kind, steps, initial, claims, locations=locations, notes=notes)

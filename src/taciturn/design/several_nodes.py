@@ -32,13 +32,27 @@ from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign
 from taciturn.base.filter import ESTIMATE, SEND
+from taciturn.base.limited_value import LimitedSilence
 from taciturn.errors import PlacementError, ProblemError
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.lqg.stored import Apart
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
-from taciturn.model.steps import Acknowledged, Assign, Condition, Decide, Evaluate, Received, Send, Step, Terms, read
+from taciturn.model.steps import (
+    Acknowledged,
+    Apply,
+    Assign,
+    Condition,
+    Decide,
+    Evaluate,
+    Received,
+    Send,
+    Step,
+    Terms,
+    assigned,
+    read,
+)
 from taciturn.model.theory import Innovations, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
@@ -408,13 +422,13 @@ class JointSets(Displayed):
 
     @cached_property
     def partial(self) -> frozenset[str]:
-        """Names of the signals that depend on the set of links: ``error``, ``candidate``, and forms that read one of
-        these.
+        """Names of the signals that depend on the set of links: ``error``, ``candidate``, and costs of silence that are
+        computed from these.
         """
         found = {ERROR, CANDIDATE}
         for step in self.policy.steps:
-            if isinstance(step, Evaluate) and any(found.intersection(form.reads) for form in step.forms):
-                found.add(step.signal)
+            if _is_cost(step) and found.intersection(read(step)):
+                found.update(assigned(step))
         return frozenset(found)
 
     @cached_property
@@ -489,6 +503,15 @@ class JointSets(Displayed):
             return (replace(step, trigger=self._trigger(step.trigger)),)
         if isinstance(step, Send):
             return tuple(found for node in self.actuators for found in self._send(step, node))
+        if isinstance(step, Apply) and self.partial.issuperset(step.signals):
+            return tuple(
+                replace(
+                    step,
+                    signals={self.named(name, sent): size for name, size in step.signals.items()},
+                    reads=tuple(self.named(name, sent) for name in step.reads),
+                )
+                for sent in self.all[:-1]
+            )
         if isinstance(step, Evaluate) and step.signal in self.partial:
             return tuple(
                 Evaluate(
@@ -513,7 +536,10 @@ class JointSets(Displayed):
         if guarantee is not None and guarantee.base is not None:
             statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
             guarantee = replace(guarantee, statement=statement, weights=self.weights)
-        return replace(theory, identity=identity, guarantee=guarantee, reset=None, periodic=None)
+        functions = theory.functions | {self.named(name, sent) for name in theory.functions for sent in self.all}
+        return replace(
+            theory, identity=identity, guarantee=guarantee, reset=None, periodic=None, functions=frozenset(functions)
+        )
 
     def _trigger(self, trigger: Trigger) -> Trigger:
         silent, price = trigger.options.values()
@@ -542,9 +568,10 @@ class JointSets(Displayed):
         for sent in (one for one in self.all[:-1] if self.named(ERROR, one) != ERROR):
             silent = self.silent(sent)
             found.append(Assign(step.at, self.named(ERROR, sent), {ERROR: silent}))
-            if any(CANDIDATE in read(other) for other in self.policy.steps if isinstance(other, Decide)):
-                terms = {CANDIDATE: unit, ERROR: silent - unit}
-                found.append(Assign(step.at, self.named(CANDIDATE, sent), terms))
+            if any(
+                CANDIDATE in read(other) for other in self.policy.steps if isinstance(other, Decide) or _is_cost(other)
+            ):
+                found.append(Assign(step.at, self.named(CANDIDATE, sent), {CANDIDATE: silent, COMMAND: unit - silent}))
         return tuple(found)
 
     def _send(self, step: Send, node: str) -> tuple[Step, ...]:
@@ -575,6 +602,11 @@ class JointSets(Displayed):
                     terms[name] = terms.get(name, 0.0 * matrix) + rows @ matrix
             branches.append(terms)
         return Assign(step.at, step.signal, tuple(branches), step.on)
+
+
+def _is_cost(step: Step) -> bool:
+    """Return whether a policy step computes a cost that forms of a decision may read."""
+    return isinstance(step, Evaluate) or (isinstance(step, Apply) and isinstance(step.function, LimitedSilence))
 
 
 def _number(value: float | Scheduled) -> float:

@@ -12,8 +12,11 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
 * Over a link with bursts, the weights depend on the state of the channel. The node keeps its distribution, the
   ``belief``, by the acknowledgements, and the cost of silence is the mean over it (``cost_of_silence``).
 * The theory assumes the model. An alarm watches it: the squares ν'S⁻¹ν of the innovations, averaged with exponential
-  forgetting, exceed their 1 − 10⁻⁹ quantile only if the plant differs. Then, while an input is at a limit, and after
-  a packet that was not acknowledged (``retry``), silence is forbidden.
+  forgetting, exceed their 1 − 10⁻⁹ quantile only if the plant differs. Then, and after a packet that was not
+  acknowledged (``retry``), silence is forbidden.
+* If inputs have limits, the cost of silence is that of a forecast with them (``base/limited_value``). For the sensor
+  link, links that drop packets, slower bases, totals, and set-points at known times, it is the cost without limits, and
+  silence is forbidden while a limit cuts the command.
 
 ``relative_to_state`` is LQG with thresholds that grow with the estimate.
 
@@ -51,8 +54,9 @@ from taciturn.base.filter import (
 )
 from taciturn.base.gains import price_control
 from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base
+from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.nominal import Nominal
-from taciturn.base.route import MEASURED, REGISTER, GivenRoute, nonempty, route_over
+from taciturn.base.route import CANDIDATE, MEASURED, REGISTER, GivenRoute, nonempty, route_over
 from taciturn.base.route import Actuation as LoopActuation
 from taciturn.base.value import Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_state
@@ -147,11 +151,21 @@ def send_for_given(
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
     # above the price in any case, also if that is 0: then silence is never the least
-    at, forbidden, rule = route.node, 2 * price + base + 1, silence.cost
+    at, forbidden = route.node, 2 * price + base + 1
+    clipped = tuple[Step, ...]()
+    if plant.saturation is not None and link == "actuator" and every == 1 and average and not (lossy or timed):
+        F = route.base.Phi + route.base.Gamma @ route.base.K
+        limited = LimitedSilence.of(
+            F, route.base.Gamma, route.base.K, found.H[0, 0], found.slope[0, 0], plant.saturation
+        )
+        foreseen = limited.step(at, route.state, CANDIDATE, "command")
+        silence = replace(silence, cost=Form(plus={COST: 1.0}), before=(foreseen,))
+    else:
+        clipped = _at_limits(plant, controller, at)
+    rule = silence.cost
     watch = () if watched is None else watch_innovations(INNOVATION, watched, at, plant.sensed)
     if watch:
         watch, rule = _unless(WATCH, watch, rule, forbidden)
-    clipped = _at_limits(plant, controller, at)
     if clipped:  # the cost of silence assumes inputs without limits
         clipped, rule = _unless(LIMIT, clipped, rule, forbidden)
     again, follow = _retried(link, at) if retry else ((), ())
@@ -170,7 +184,7 @@ def send_for_given(
         guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         covers=GAUSSIAN_THEORY | BURSTS if lossy else GAUSSIAN_THEORY,
-        functions=frozenset({BELIEF, BEYOND}),
+        functions=frozenset({BELIEF, BEYOND, COST}),
         fourth=found.fourth,
         periodic=SameControl(loop, alone.base) if average and not lossy else None,
         every=every,

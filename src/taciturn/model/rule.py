@@ -53,6 +53,7 @@ LETTERS, EXPONENTS = "ΨΘΦΛΞΩ", "ΠΓΣ"  # of the matrices of a rule, and 
 ROUNDED = 1e-12  # eigenvalues up to here, relative to the largest, are zero but for rounding
 SYMBOL = 4  # largest number of letters of a symbol
 FIRST_STEP, FIRST_ARRIVAL = "and at its first step", "and until a packet has arrived"
+NONE = "its packet would change no input"
 FLAGS: Mapping[str, str] = {  # scalar signals that are 0 or 1, as clauses
     "due": "a packet is due in the plan that it has chosen",
     "missing": "its last packet was not acknowledged",
@@ -362,6 +363,8 @@ class _Reader:
                 return [clause]
             if _latched(kept[0], name) and weight < 0 < one.constant <= -weight:
                 return [FIRST_ARRIVAL if isinstance(kept[0].on, Acknowledged) else FIRST_STEP]
+        if self._words.plain(name) == "changed inputs" and weight < 0 < one.constant < -weight:
+            return [NONE]
         flag = FLAGS.get(self._words.plain(name))
         if flag is not None and 0 < -one.constant / weight < 1:
             return [flag]

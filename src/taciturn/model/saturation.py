@@ -39,6 +39,28 @@ class Saturation(Displayed):
     def _one(self, i: int, value: Any, before: Any) -> Any:
         if self.rate is not None and np.isfinite(self.rate[i]):
             value = _within(value, before[i] - float(self.rate[i]), before[i] + float(self.rate[i]))
+        low, high = (float(limit) if np.isfinite(limit) else None for limit in (self.low[i], self.high[i]))
+        return _within(value, low, high)
+
+    @property
+    def moves(self) -> Saturation | None:
+        """These limits if an input has a limit of its change per step; otherwise None."""
+        return self if self.rate is not None and np.isfinite(self.rate).any() else None
+
+    @property
+    def bounded(self) -> bool:
+        """True if every input has a lower and an upper limit."""
+        return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
+
+    def of(self, inputs: Sequence[int]) -> Saturation:
+        """Return the limits of some inputs, given by their indices."""
+        rows = [*inputs]
+        return replace(
+            self, low=self.low[rows], high=self.high[rows], rate=None if self.rate is None else self.rate[rows]
+        )
+
+    def beside(self, count: int) -> Saturation:
+        """Add entries without limits."""
         low = np.pad(self.low, (0, count), constant_values=-np.inf)
         high = np.pad(self.high, (0, count), constant_values=np.inf)
         rate = None if self.rate is None else np.pad(self.rate, (0, count), constant_values=np.inf)

@@ -9,6 +9,8 @@ Two forms have this rule. Optimal gains over an ideal actuator link need no more
 controller, for links that drop packets, and for a base with packets at every q-th step, silence is compared with a
 packet by the value function of the base (``design/silence``). The cost of silence then also has a linear part.
 
+With limits of the inputs, the cost of silence is that of a short forecast of both choices (``base/limited_value``).
+
 Source: astrom2002, khashooei2017, antunes2014rollout, schenato2009
 """
 
@@ -17,13 +19,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
+import numpy as np
+
 from taciturn._arrays import choice, count
 from taciturn.base.certainty import Actuation as LQGActuation
 from taciturn.base.certainty import certainty_policy, control_steps, design_certainty
-from taciturn.base.filter import SEND
+from taciturn.base.filter import ESTIMATE, SEND
 from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
-from taciturn.base.route import Actuation
+from taciturn.base.limited_value import COST, LimitedSilence
+from taciturn.base.route import CANDIDATE, Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.silence import drops, send_for_given, total_excess
@@ -34,6 +39,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
+from taciturn.model.steps import Apply
 from taciturn.model.trigger import Form, Trigger
 
 LONGEST = 100_000  # steps between packets of the base: their value is computed step by step
@@ -61,6 +67,9 @@ def excess(
     is sent iff e'He > δ. Silence costs at most δ per step, so J ≤ J_all + δ(1 − rate), with the rate in sends per step.
     Since e'He ≤ δ after each decision, the loop equals that of sending every sample under a bounded disturbance, and is
     mean-square stable.
+
+    With limits of the inputs, silence costs what a forecast of ten steps without a packet costs more than one with a
+    packet, and no bound holds.
 
     With a ``controller``, this controller computes the input instead, and J_all is its cost with every sample. Silence
     costs E[e'He + 2e'(slope)z] more, now and later, with the weights of its value (``design/base``), and a packet is
@@ -152,8 +161,14 @@ def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float],
         return total_excess("excess", problem, actuation, price_at)
     certainty = design_certainty("excess", problem)
     price = price_at(certainty.cost_all_time)
-    rule = Trigger({"silent": Form(("error",), certainty.regulator.H), SEND: Form(constant=price)})
-    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
+    plant, best = problem.plant, certainty.regulator
+    silent, foreseen = Form(("error",), best.H), tuple[Apply, ...]()
+    if plant.saturation is not None:
+        F, slope = plant.A + plant.B @ best.L, np.zeros_like(best.L)
+        rollout = LimitedSilence.of(F, plant.B, best.L, best.H, slope, plant.saturation)
+        silent, foreseen = Form(plus={COST: 1.0}), (rollout.step("controller", (ESTIMATE,), CANDIDATE, "command"),)
+    rule = Trigger({"silent": silent, SEND: Form(constant=price)})
+    steps, initial = control_steps(plant, certainty.estimation, best.L, actuation, rule, before=foreseen)
     return certainty_policy(
         "excess",
         certainty,
@@ -162,6 +177,7 @@ def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float],
         identity=certainty.completed_square(),
         guarantee=bound_by_silence(certainty, price, "khashooei2017"),
         reset=certainty.reset(actuation),
+        functions=frozenset({COST}),
     )
 
 
