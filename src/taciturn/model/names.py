@@ -151,11 +151,6 @@ class Names(Displayed):
             found.append(f"{text} ({unit})" if unit else text)
         return tuple(found)
 
-    def fitting(self, outputs: int, inputs: int, states: int) -> Names:
-        """Return the names of those roles of which there are as many as the plant has."""
-        sizes = {"outputs": outputs, "inputs": inputs, "states": states}
-        return Names(**{role: getattr(self, role) for role, size in sizes.items() if len(getattr(self, role)) == size})
-
     def expect(self, outputs: int, inputs: int, states: int) -> None:
         """Check that names are given for all signals of a role, or for none.
 
