@@ -37,7 +37,6 @@ FIXED = (
     ("correlated noise", "operating point", "kind distributed", "model", "predicted probes", "every path"),
     ("timetable", "PID", "no drift", "kind distributed", "threshold of silence"),
     ("continuous", "load", "cross terms", "kind excess"),
-    ("load", "acknowledged losses", "kind distributed"),
 )
 OF_PATHS = {"kept on every path", "certified"}  # checks of bounds that hold on every path
 
