@@ -147,6 +147,16 @@ def test_the_average_of_an_estimated_or_known_load_is_that_of_no_load_and_its_gu
         assert costs[0] == costs[1]
 
 
+def test_a_design_for_losses_does_not_see_a_load() -> None:
+    """It computes the cost of the loop that attempts every packet."""
+    losing = {
+        "policy": {"kind": "distributed", "theta": 0.1, "period": 0.2},
+        "network": {"protocol": "tcp", "actuator_loss": 0.1},
+    }
+    without = parse({**TABLES, **losing}, "tables").design()
+    assert problem_of({}, losing).design().cost_all_time == without.cost_all_time
+
+
 @pytest.mark.parametrize(
     ("load", "changes", "words"),
     [

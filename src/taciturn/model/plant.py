@@ -189,8 +189,9 @@ class DisplayedPlant(Displayed):
 
     @property
     def linear(self) -> Self:
-        """The linear plant without input limits for which policies are designed."""
-        return self._without("input_limit", "stated_limit", "input_rate", "function")
+        """The linear plant without input limits and loads for which policies are designed."""
+        found = self._without("input_limit", "stated_limit", "input_rate", "function")
+        return altered(found, {"loads": ()}) if found.loads else found
 
     def _without(self, *names: str) -> Self:
         return altered(self, {name: None for name in names if getattr(self, name, None) is not None})

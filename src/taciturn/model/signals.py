@@ -419,7 +419,8 @@ class ExternalDisturbance(Displayed):
     """A disturbance of known shape and unknown size. The filter estimates it, and the input compensates it.
 
     The value of a constant disturbance may also have a first value and changes at stated times: a load, which the
-    simulated plant has. If the wander is zero, the design knows nothing of a load, unless it is ``known``.
+    simulated plant has: a loop that ``close`` makes with this plant, not a policy alone. If the wander is zero, the
+    design knows nothing of a load, unless it is ``known``.
 
     Args:
         enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
