@@ -143,6 +143,20 @@ def test_what_is_not_finite_is_malformed_also_when_it_is_narrowed() -> None:
     assert isinstance(found.decode(wire.encode(Packet("data", "actuator", 1, 2, (1e38,)))), Packet)
 
 
+def test_a_missing_output_is_nan_in_measurements_of_the_plant_alone() -> None:
+    """Written and read as on the host, in both precisions; infinities stay malformed."""
+    for precision in ("float64", "float32"):
+        found, wire = device("float64", None, precision)
+        packet = Packet("measurement", "plant", 3, 3, (float("nan"), 0.5), 5)
+        datagram = wire.encode(packet)
+        assert found.encode(packet) == datagram
+        for read in (found.decode(datagram), wire.decode(datagram)):
+            assert isinstance(read, Packet)
+            assert np.array_equal(read.values, packet.values, equal_nan=True)
+        infinite = sealed(datagram[:HEADER_SIZE] + struct.pack("!2d", float("inf"), 0.5))
+        assert found.decode(infinite) == wire.decode(infinite) == "malformed"
+
+
 @given(st.sampled_from(PAYLOADS), st.binary(max_size=300), st.sampled_from(KEYS))
 @settings(deadline=None, max_examples=60)
 def test_tags_over_contents_of_every_length_are_those_of_the_host(

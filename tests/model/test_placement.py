@@ -103,7 +103,7 @@ def test_a_place_away_from_the_controller_merges_nodes_only_in_kinds_of_three_no
         ({**WIRED, **APPLIED}, {"valve": {"delay": 2}}, "links.valve.delay is given, but links model no delay yet"),
         ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 1e-100 ≤ price"),
         ({**WIRED, **APPLIED}, {"valve": {"price": 1e308}}, r"links.valve.price is 1e\+308; expected 1e-100 ≤ price"),
-        ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, r"links\.valve\.los is not a known .*, max_interval\. Did"),
+        ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, r"links\.valve\.los is not a known .*, missing\. Did"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(nodes: Mapping[str, Any], links: Mapping[str, Any], expected: str) -> None:

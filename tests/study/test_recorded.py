@@ -243,7 +243,9 @@ def test_the_nodes_that_decide_are_enough_for_a_certificate(tmp_path: Path) -> N
     found = recorded_silence(problem_of("held"), [*parts, plc])
     assert found.certificate is not None
     assert len(found.certificate.lives) == 2
-    assert found.notes == ("no path with every sample: the log of a node that measures or applies is missing",)
+    assert found.notes == (
+        "no path with every sample: a sample, or the log of a node that measures or applies, is missing",
+    )
     with pytest.raises(
         ProblemError, match="the log of the node 'plc', which decides when to send on a link, is missing"
     ):

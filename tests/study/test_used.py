@@ -81,6 +81,7 @@ def test_the_table_has_every_kind_and_every_property() -> None:
         "network.nodes",
         "network.links",
         "network.stated",  # keys for messages
+        "network.missing",  # in the tables of links, which every kind with steps simulates
     }
     assert keys == set(LINKS)
     assert all(row.keys() == {*PROPERTIES, *LINKS} for row in printed().values())

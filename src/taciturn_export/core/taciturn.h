@@ -109,8 +109,7 @@ typedef struct {
   uint16_t drawn_count;
   int16_t applied;            /* index of the plant input among the outputs; -1: no actuator */
   int16_t limited;            /* index of the set-points in effect among the outputs; -1: they are not limited */
-  uint8_t measurement_count;  /* size of the measurement, the first inputs of a step, after which as many
-                                 * follow that are 1 for an entry, or 0 if it is missing; 0: no sensor */
+  uint8_t measurement_count;  /* first inputs of a step, then as many that are 1, or 0 if missing; 0: no sensor */
   uint8_t applied_count;
   uint8_t channel_count;
   uint8_t send_count;
@@ -250,14 +249,14 @@ void tac_mark_after(tac_node *node, uint32_t ticks);
 /* Process a received datagram. Return false if it is rejected, or its packet is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
-/* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`, in which NaN is a
- * missing entry; if it is NULL, all entries are missing. In place of a missing entry, the filter of the node uses its
+/* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`, in which NaN is
+ * a missing entry; if it is NULL, all entries are missing. In place of a missing entry, the filter of the node uses its
  * prediction, and a node without a filter the last measurement; the node is degraded. `drawn` replaces the random draws
- * of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first,
- * at most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false,
- * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
- * this step or with a later one), or if the measurement exceeds FLT_MAX. If a result is not finite, or
- * the packets cannot carry it, the node keeps its input, sends no data, and its memory starts again. */
+ * of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first, at most
+ * TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false, without
+ * executing the step, if it is not later than the last step, if more missed steps are left (call again, with this step
+ * or with a later one), or if the measurement exceeds FLT_MAX. If a result is not finite, or the packets cannot carry
+ * it, the node keeps its input, sends no data, and its memory starts again. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
 /* Set the set-points of a controller from the next step on, in place of those in packets on the link `setpoint`. They
