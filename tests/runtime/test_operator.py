@@ -6,7 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -190,7 +190,11 @@ def test_the_simulated_plant_yields_to_an_operator(keys: Keys | None) -> None:
     with a key not.
     """
     problem = tank()
-    with running(problem.close(problem.design()), keys) as (server, controller), Tapped() as tap, Tapped() as other:
+    with (
+        running(problem.close(problem.design()), keys) as (server, controller),
+        closing(Tapped()) as tap,
+        closing(Tapped()) as other,
+    ):
         node = server.nodes[0]
         operator = Operator(tap, controller, keys)
         found = operator.give([1.0])
@@ -215,7 +219,7 @@ def test_the_simulated_plant_yields_to_an_operator(keys: Keys | None) -> None:
 def test_only_the_holder_of_the_key_of_the_link_is_heard() -> None:
     """With the key of another link, or without a key, nobody answers, and the sentence says what to look at."""
     problem = tank()
-    with running(problem.close(problem.design()), SECRET) as (server, controller), Tapped() as tap:
+    with running(problem.close(problem.design()), SECRET) as (server, controller), closing(Tapped()) as tap:
         for keys in (Keys({SETPOINT: SECRET.of("plant")}), None):
             with pytest.raises(ProblemError, match=r"nobody answers at 127\.0\.0\.1"):
                 Operator(tap, controller, keys, patience=0.5).give([1.0])
