@@ -16,7 +16,8 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
   acknowledged (``retry``), silence is forbidden.
 * If inputs have limits, the cost of silence is that of a forecast with them (``base/limited_value``). For the sensor
   link, links that drop packets, slower bases, totals, and set-points at known times, it is the cost without limits, and
-  silence is forbidden while a limit cuts the command.
+  silence is forbidden while a limit cuts the command. Over the sensor link, a forecast in which both choices reach the
+  limit finds silence free, and the controller, which then integrates an old measurement, leaves its place for long.
 
 ``relative_to_state`` is LQG with thresholds that grow with the estimate.
 
