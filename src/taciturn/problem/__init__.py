@@ -11,7 +11,8 @@ A problem keeps the tables of its file. ``Problem.changed`` changes single keys 
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
 Matrices are also read from files of other programs (``matlab_and_numpy``), and values of keys from options of the
-command line (``settings``). ``without_file`` makes problems of policies and of functions that return one.
+command line (``settings``); ``write`` writes tables as a file. ``without_file`` makes problems of policies and of
+functions that return one.
 """
 
 from __future__ import annotations
