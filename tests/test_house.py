@@ -287,6 +287,7 @@ def test_only_its_own_file_names_a_kind() -> None:
     about |= {("study/compare.py", "periodic"), ("study/compare.py", "all-time"), ("study/tune.py", "consistent")}
     about |= {("study/evaluation.py", "consistent"), ("program/functions.py", "absolute"), ("loop.py", "excess")}
     about |= {("design/kinds/excess.py", "lqg")}  # the gains of LQG
+    about |= {("study/evaluation.py", "excess")}  # over the cost of every sample
     # a rule of nodes that decide by themselves has the name of a rule that compares with the state
     about |= {("design/every_path.py", "relative"), ("design/kinds/distributed.py", "relative")}
     about |= {("model/schedule.py", "variance"), ("base/certainty.py", "excess")}

@@ -42,7 +42,7 @@ def comparison() -> Comparison:
     """Return a comparison of three policies with long names."""
     one = at_rate(PATH + "/excess.toml", tuned(), 0.65, "actuator")
     names = (one.name, PATH + "/lqg.toml", "short")
-    return Comparison(0.65, "step", 0.02, tuple(replace(one, name=name) for name in names))
+    return Comparison(0.65, "step", Estimate(0.02, 0.0, "exact"), tuple(replace(one, name=name) for name in names))
 
 
 def test_every_line_of_a_comparison_fits_and_every_number_is_whole() -> None:

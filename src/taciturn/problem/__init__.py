@@ -11,8 +11,8 @@ A problem keeps the tables of its file. ``Problem.changed`` changes single keys 
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
 Matrices are also read from files of other programs (``matlab_and_numpy``), and values of keys, and loads of the
-simulated plant, from options of the command line (``settings``, ``loads``). ``without_file`` makes problems of policies
-and of functions that return one.
+simulated plant, from options of the command line (``settings``, ``loads``); ``write`` writes tables as a file.
+``without_file`` makes problems of policies and of functions that return one.
 """
 
 from __future__ import annotations
