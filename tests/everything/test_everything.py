@@ -36,7 +36,7 @@ FIXED = (
     ("two inputs", "two outputs", "four nodes", "linear controller", "kind distributed", "threshold of silence"),
     ("correlated noise", "operating point", "kind distributed", "model", "predicted probes", "every path"),
     ("timetable", "PID", "no drift", "kind distributed", "threshold of silence"),
-    ("continuous", "load", "cross terms", "kind excess"),
+    ("load", "cross terms", "kind excess"),
     ("descriptor", "kind excess", "violations", "named signals", "noise at inputs and outputs"),
 )
 OF_PATHS = {"kept on every path", "certified"}  # checks of bounds that hold on every path

@@ -142,7 +142,7 @@ def test_messages_tell_the_name_after_the_number() -> None:
             {"names": {"inputs": ["force"]}},
             r".names. and plant.state_names are both given; expected the names and unit",
         ),
-        ({"plant.actual": {**PLANT, "input_names": ["force"]}}, "plant.actual.input_names is not a known key"),
+        ({"plant.actual": {**PLANT, "input_names": ["else"]}}, "expected those of .plant., or no input_names in"),
     ],
 )
 def test_names_that_do_not_fit_are_refused(changes: dict[str, Any], message: str) -> None:

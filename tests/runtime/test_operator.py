@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Generator, Sequence
 from contextlib import closing, contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,9 @@ from taciturn.cli import app
 from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.signals import Timetable, set_point_limits
 from taciturn.model.wire import SETPOINT
-from taciturn.nodes.inbox import OPERATOR
+from taciturn.nodes.inbox import OPERATOR, Handling
 from taciturn.nodes.keys import Keys
-from taciturn.nodes.node import Node
+from taciturn.nodes.node import Measurement, Node, Stepped
 from taciturn.nodes.packet import Packet, Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.endpoint import Address, Endpoint
@@ -143,14 +144,34 @@ def test_limits_are_in_the_units_of_the_plant() -> None:
     assert found == pytest.approx([12.25, 12.5, 12.75, 13.0, 13.0])
 
 
+class Recorded(Node):
+    """A node that records the packets that it sorts in, and its steps."""
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        """Start with an empty record."""
+        super().__init__(*args, **given)
+        self.record: list[Packet | tuple[int, Measurement | None, tuple[Packet, ...]]] = []
+
+    def sort_in(self, packet: Packet) -> Handling:
+        """Record a packet, and sort it in."""
+        self.record.append(packet)
+        return super().sort_in(packet)
+
+    def step(self, tick: int, measurement: Any = None, *more: Any) -> Stepped:
+        """Execute and record a step."""
+        found = super().step(tick, measurement, *more)
+        self.record.append((tick, measurement, found.packets))
+        return found
+
+
 @contextmanager
-def running(loop: Loop, keys: Keys | None) -> Generator[tuple[NodeServer, Address]]:
+def running(loop: Loop, keys: Keys | None, kind: type[Node] = Node) -> Generator[tuple[NodeServer, Address]]:
     """Run plant, controller and actuator of a tank in lockstep, each in a thread."""
     policy, ended = loop.policy, threading.Event()
     ports = [Endpoint(("127.0.0.1", 0)) for _ in range(3)]
     plant, controller, actuator = (port.address for port in ports)
     wires = [Wire(policy, loop.network, keys) for _ in ports]
-    first = Node(policy, "controller", epoch=int(time.time()))
+    first = kind(policy, "controller", network=loop.network, epoch=int(time.time()))
     servers = [
         NodeServer([first], wires[0], ports[1], peer=actuator, plant=plant),
         NodeServer([Node(policy, "actuator", epoch=5)], wires[1], ports[2], peer=None, plant=plant),
@@ -168,6 +189,36 @@ def running(loop: Loop, keys: Keys | None) -> Generator[tuple[NodeServer, Addres
             run.join()
         for port in ports:
             port.close()
+
+
+def test_a_tank_with_an_operator_a_load_and_missing_samples_is_the_same_in_c() -> None:
+    """The controller of a run over UDP, and the exported one with the same packets: every bit of packets and memory."""
+    problem = tank(disturbance=[{"enters": [0.0, -0.1], "steps": [[30, 0.3]]}], **{"links.sensor.missing": 0.2})
+    loop = problem.close(problem.design())
+    with running(loop, None, Recorded) as (server, address), closing(Tapped()) as tap:
+        node, operator = server.nodes[0], Operator(tap, address)
+        for value in (3.0, -9.0, 1.0):
+            begun = node.tick
+            operator.give([value])
+            while node.tick < begun + 40:
+                time.sleep(0.001)
+    assert isinstance(node, Recorded)
+    code = DeviceCode(loop.policy, "controller", loop.network)
+    device = DeviceNode(
+        code, loop.policy, "controller", network=loop.network, epoch=node.epoch, seed=0, watchdog=None, safe="hold"
+    )
+    wire, effects = Wire(loop.policy, loop.network), set[float]()
+    for one in node.record:
+        if isinstance(one, Packet):
+            device.receive(wire.encode(one))
+            continue
+        tick, y, sent = one
+        told = device.step(tick, None if y is None else list(y))
+        assert tuple(packet for packet in told.packets if packet.kind != "report") == sent, tick
+        effects.update(device.memory[IN_EFFECT])
+    assert device.memory == node.memory
+    assert node.counters["missing"] == device.counters["missing"] > 10
+    assert {3.0, -5.0, 1.0} <= effects
 
 
 class Tapped(Endpoint):

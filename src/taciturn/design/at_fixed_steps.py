@@ -188,7 +188,10 @@ def sending_always(policy: Policy) -> Policy:
     """Return the policy whose nodes send in every step. Limits on send intervals have no effect on them."""
     links = {step.link for step in policy.steps if isinstance(step, Send)}
     always = same_nodes(policy, {link: np.ones(1, dtype=np.bool_) for link in sorted(links)})
-    return replace(always, steps=_without_unread(always.steps), network=policy.network.unlimited)
+    steps = _without_unread(always.steps)
+    made = {name for step in steps for name in assigned(step)}
+    initial = {name: value for name, value in always.initial.items() if name in made}
+    return replace(always, steps=steps, initial=initial, network=policy.network.unlimited)
 
 
 def _without_unread(steps: tuple[Step, ...]) -> tuple[Step, ...]:

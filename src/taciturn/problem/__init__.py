@@ -425,7 +425,7 @@ def parse(
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         names = names_of(file) if named else None
         plant, simulated = plant_of(file.plant, known or {}, names=names), file.plant.get("actual")
-        actual = None if simulated is None else actual_of(simulated, file.plant.get("dt"), plant, known or {})
+        actual = None if simulated is None else actual_of(simulated, file.plant, plant, known or {})
         controller = (
             None if file.controller is None else controller_of(file.controller, plant, file.reference is not None)
         )

@@ -420,9 +420,15 @@ def without_names(tables: Mapping[str, Any], plant: Plant | ContinuousPlant) -> 
 
 
 def actual_of(
-    table: PlantKeys, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
+    table: PlantKeys, stated: PlantKeys, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
 ) -> Plant | ContinuousPlant:
     """Make the simulated plant; check that its sampling period and numbers of signals are those of the design plant."""
+    dt = stated.get("dt")
+    for key in (key for key in (*NAMING, UNITS) if key in table and table[key] != stated.get(key)):
+        raise ProblemError(
+            f"plant.actual.{key} is {quoted(table[key])}, and the signals of [plant] have other names or units; expected "
+            f"those of [plant], or no {key} in [plant.actual]"
+        )
     try:
         plant = plant_of(table, known, design.operating_point)
     except ProblemError as error:

@@ -216,7 +216,7 @@ class SignalKeys(Displayed):
     units: Annotated[dict[str, Any], UnitKeys] | None = None
 
 
-PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys]
+PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, SignalKeys]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
