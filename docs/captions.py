@@ -49,7 +49,7 @@ CAPTIONS: dict[str, tuple[str, ...]] = {
     "remote-sensing#the-rule": ("Nodes and links: measurements on request, and inputs when needed.",),
     "remote-sensing#the-schedule-as-an-object": ("A periodic schedule of sensor queries.",),
     "scheduling#lower-bound-over-all-schedules": ("Cost against rate, and a bound below all schedules.",),
-    "set-points#set-points-that-change": ("A PID follows an operator: events, and periodic control.",),
+    "set-points#a-tank-with-an-operator": ("A tank follows its operator over UDP, with missing samples.",),
     "set-points#four-tanks-with-a-leaking-valve": ("Four tanks follow set-points while a valve leaks.",),
     "several-nodes#against-periodic-control": ("Two sensors and two pumps at the same traffic: three rules.",),
     "several-nodes#the-policy": ("Nodes and links of four tanks.",),

@@ -426,8 +426,8 @@ def actual_of(
     dt = stated.get("dt")
     for key in (key for key in (*NAMING, UNITS) if key in table and table[key] != stated.get(key)):
         raise ProblemError(
-            f"plant.actual.{key} is {quoted(table[key])}, and the signals of [plant] have other names or units; expected "
-            f"those of [plant], or no {key} in [plant.actual]"
+            f"plant.actual.{key} is {quoted(table[key])}, and the signals of [plant] have other names or units; "
+            f"expected those of [plant], or no {key} in [plant.actual]"
         )
     try:
         plant = plant_of(table, known, design.operating_point)
