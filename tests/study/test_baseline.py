@@ -207,3 +207,25 @@ def test_tune_keeps_a_share_above_a_measured_baseline() -> None:
     assert "cost at most 10 % above every sample, met with " in tuned.verdict[0]
     assert tuned.verdict[1].endswith(" % more cost than every sample, measured")
     assert tuned.verdict[2] == "no guarantee holds: inputs are clipped (input_limit)"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"links.sensor.missing": 0.2},
+        {"reference.steps": {"rate": 0.005, "covariance": [[1.0]]}, "reference.ramp": [0.05]},
+        {"disturbance": [{"enters": [0.0, -0.1], "initial": 0.3}]},
+    ],
+    ids=["missing samples", "ramp", "load"],
+)
+def test_the_baseline_has_what_the_loop_has(changes: dict[str, object]) -> None:
+    """Its cost is that of ``all-time`` under the same conditions, which differs from that of the design."""
+    kept = taciturn.load("pid-tank").changed(changes)
+    every = kept.changed({"policy.kind": "all-time", "policy.theta": None})
+    own, found = (taciturn.evaluate(one, steps=200_000, after_step=False) for one in (kept, every))
+    assert own.cost_every_sample is not None
+    assert found.excess is not None
+    assert found.excess.value == 0.0
+    errors = [own.cost_every_sample.standard_error, found.cost.standard_error]
+    assert abs(own.cost_every_sample.value - found.cost.value) < 4 * np.hypot(*errors)
+    assert abs(own.cost_every_sample.value - taciturn.load("pid-tank").design().cost_all_time) > 4 * np.hypot(*errors)

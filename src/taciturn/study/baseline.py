@@ -135,7 +135,8 @@ def _all_time(problem: Problem, policy: Policy, controller: AnyController | None
 def _exact(every: Loop) -> float | None:
     """Return the exact cost of a loop that sends every sample, or None if it is not known."""
     plant, network = every.problem.plant, every.network
-    if plant.saturation is not None or network.rounded or every.horizon is not None:
+    ramped = plant.changes is not None and plant.changes.exceed  # set-points that the controller limits
+    if plant.saturation is not None or ramped or network.rounded or network.missing or every.horizon is not None:
         return None
     if network.ideal:
         known = with_every_sample(every)
