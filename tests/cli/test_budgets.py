@@ -196,6 +196,7 @@ def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path
     assert f"period         {document['period']:g}" in lines
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("rate", few(["0.203", "0.2033"], 1))
 def test_a_budget_at_the_end_of_what_can_be_reached_ends_in_a_sentence(run: Run, rate: str) -> None:
     """A digit of the parameter decides on which side of the budget its limit is: an answer, and no traceback."""

@@ -127,6 +127,7 @@ def test_moves_of_the_keyboard_end_in_their_own_answer(browser: Any, page: Serve
     tab.close()
 
 
+@pytest.mark.evidence
 def test_the_address_restores_everything(browser: Any, page: Served) -> None:
     """Setting, events, pinned setting and compared kinds are in the address."""
     tab, errors = opened(browser, page.url)
@@ -182,6 +183,7 @@ def test_bad_input_is_refused_at_its_control_and_changes_nothing(browser: Any, p
     tab.close()
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("address", "sentence"),
     [
@@ -209,6 +211,7 @@ def test_an_address_that_cannot_be_shown_leads_back_to_the_file(
     tab.close()
 
 
+@pytest.mark.evidence
 def test_a_setting_without_a_design_has_no_numbers_of_another_one(browser: Any, page: Served) -> None:
     """All of them go, and a button leads back to the last setting."""
     tab = browser.new_page()
@@ -229,6 +232,7 @@ def test_a_setting_without_a_design_has_no_numbers_of_another_one(browser: Any, 
     tab.close()
 
 
+@pytest.mark.evidence
 def test_the_difference_belongs_to_the_shown_setting(browser: Any, page: Served) -> None:
     """From a move until its own difference arrives, it is blank."""
     tab, errors = opened(browser, page.url)
@@ -255,6 +259,7 @@ def test_the_difference_belongs_to_the_shown_setting(browser: Any, page: Served)
     tab.close()
 
 
+@pytest.mark.evidence
 def test_events_move_nothing_and_the_link_opens_in_another_browser(browser: Any, page: Served) -> None:
     """The figure keeps its size, a load added again has the size of the first, and the link has the token."""
     tab, errors = opened(browser, page.url)
@@ -276,6 +281,7 @@ def test_events_move_nothing_and_the_link_opens_in_another_browser(browser: Any,
     other.close()
 
 
+@pytest.mark.evidence
 def test_a_rival_far_away_is_named_at_the_edge_of_the_axis(browser: Any, page: Served) -> None:
     """The axis holds what is near the policy; an arrow leads to the pinned setting, with the excess of the table."""
     tab, errors = opened(browser, f"{page.url}#problem=two-mass&pin=problem%3Dtwo-mass%26policy.theta%3D50")
@@ -289,6 +295,7 @@ def test_a_rival_far_away_is_named_at_the_edge_of_the_axis(browser: Any, page: S
     tab.close()
 
 
+@pytest.mark.evidence
 def test_a_page_whose_program_has_ended_says_so(browser: Any) -> None:
     """In a sentence with the remedy, not in the words of the browser."""
     with open_page(*setting_for("two-mass"), ("127.0.0.1", 0)) as served:

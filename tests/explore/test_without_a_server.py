@@ -38,6 +38,7 @@ AROUND = """<!doctype html><title>0</title><iframe src="page.html?plane" width="
 <script>addEventListener("message", ({ data }) => { document.title = data.height; });</script>"""
 
 
+@pytest.mark.evidence
 def test_a_saved_page_needs_nothing_but_its_file(tmp_path: Path) -> None:
     """Opened from its folder, its point moves to settings that the library has computed."""
     if lacks := missing():

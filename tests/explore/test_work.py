@@ -107,6 +107,7 @@ def test_a_loop_that_is_unstable_is_told_from_bad_input(pool: Pool) -> None:
         assert found["sentence"]
 
 
+@pytest.mark.evidence
 def test_a_new_setting_ends_the_answers_of_the_former_one(pool: Pool) -> None:
     """Each answer names its setting, and the first stream ends when the second one of the client begins."""
 

@@ -222,7 +222,7 @@ def networks(draw: st.DrawFn) -> tuple[Network, int, int]:
 
 
 @law(
-    10, 150, network=networks(), kind=st.sampled_from(["lqg", "hold", "bank", "dead band"]), factor=st.floats(0.5, 1.0)
+    4, 150, network=networks(), kind=st.sampled_from(["lqg", "hold", "bank", "dead band"]), factor=st.floats(0.5, 1.0)
 )
 def test_no_texts_of_any_network_meet_and_none_is_cut(
     network: tuple[Network, int, int], kind: str, factor: float

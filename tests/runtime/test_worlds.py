@@ -48,6 +48,7 @@ def test_no_invariant_breaks_with_several_sensors(first: int, changes: Mapping[s
         assert found.broken is None, f"world {seed}: {found.broken}"
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seed", few([4, 8], quick=1, start=1))
 def test_a_seed_gives_the_same_world_again(seed: int) -> None:
     """Keys, nonces, faults, counters and recovery are equal; another seed gives another world."""

@@ -199,7 +199,7 @@ def test_a_notebook_shows_picture_and_table() -> None:
     assert "<table" in shown
 
 
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("style", few(STYLES, 1))
 def test_a_recording_has_a_legible_picture(style: StyleName, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the silence of each node, and the path with every sample beside the recorded one."""
     figure = recorded(tmp_path).plot(style=style)

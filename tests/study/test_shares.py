@@ -58,6 +58,7 @@ def cheapest() -> Tuned:
         return taciturn.tune(two_links(), cost="+10%", seed=1, standard_error=1e-3)
 
 
+@pytest.mark.evidence
 def test_the_traffic_at_a_cost_is_the_least_of_all_shares(cheapest: Tuned) -> None:
     """Against a grid of shares: within two percent of its least traffic, and better than equal shares."""
     found = cheapest.evaluation
@@ -138,6 +139,7 @@ def test_rates_of_several_links_need_shares() -> None:
         taciturn.tune(two_links(shares={"level": 2.0}), rate={"level": 0.3, "valve": 0.3})
 
 
+@pytest.mark.evidence
 def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model at both ends costs less than to hold, and best shares less than equal ones."""
     monkeypatch.setattr(shares, "EFFORT", EFFORT)
