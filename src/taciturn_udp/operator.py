@@ -49,7 +49,7 @@ class InEffect(NamedTuple):
         found = f"set-point {_text(self.in_effect)} in effect from step {self.step}"
         if self.given == self.in_effect:
             return found
-        why = "on the ramp to" if self.moves else "at the end of the range, before"
+        why = "on the ramp towards" if self.moves else "at the end of the range, before"
         return f"{found}, {why} {_text(self.given)}"
 
 

@@ -110,6 +110,18 @@ def test_a_dead_band_of_almost_nothing_leaves_the_controller_as_it_was(kind: str
     np.testing.assert_allclose(paths[1].measurement, paths[0].measurement, atol=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["event_pid", "event_pid_saturated", "excess"])
+def test_the_first_command_is_the_input_before_the_start(kind: str) -> None:
+    """Also with a set-point that may change, which the controller weights."""
+    plant = follow(
+        Plant([[0.95]], [[0.05]], [[1e-4]], [[1.0]], [[1e-4]], 1.0, [5.0]), [[1.0]], [5.0], [], RandomSteps(0, [[0]])
+    )
+    pid = PID(0.8, 0.05, start_input=3.0, b=0.7, disturbance=Disturbance(deviation=0.0))
+    given = {"theta": 0.1} if kind == "excess" else {"delta": 1e-9}
+    policy = getattr(design, kind)(plant, Cost([[1.0]], [[1.0]]), controller=pid, **given)
+    assert taciturn.Nodes(policy).step([5.0]) == pytest.approx([3.0])
+
+
 def test_a_silent_event_pid_computes_when_its_set_point_changes() -> None:
     """Without any packet: the integral counts the steps so far with the former set-point."""
     plant = tank(Timetable([0, 1, 2], [[0.0], [2.0], [0.0]]))

@@ -221,9 +221,7 @@ def networks(draw: st.DrawFn) -> tuple[Network, int, int]:
     return Network(nodes=nodes, links=links), outputs, inputs
 
 
-@law(
-    4, 150, network=networks(), kind=st.sampled_from(["lqg", "hold", "bank", "dead band"]), factor=st.floats(0.5, 1.0)
-)
+@law(4, 150, network=networks(), kind=st.sampled_from(["lqg", "hold", "bank", "dead band"]), factor=st.floats(0.5, 1.0))
 def test_no_texts_of_any_network_meet_and_none_is_cut(
     network: tuple[Network, int, int], kind: str, factor: float
 ) -> None:

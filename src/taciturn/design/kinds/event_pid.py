@@ -163,7 +163,8 @@ def _begun(pid: PID, loop: GivenLoop) -> dict[str, Array]:
     before = (plant.C @ plant.mean)[:1]  # the given controller, too, starts its derivative without the set-point
     integral = steady + pid.kp * (1 - pid.b) * pid.setpoint
     if pid.start_input is not None:
-        integral = steady - pid.start_input - pid.kp * before
+        raised = pid.b * plant.given if plant.set_points else 0.0
+        integral = steady - pid.start_input - pid.kp * (before - raised)
     return {"area": integral, "before": before}
 
 
