@@ -21,10 +21,12 @@ def expect_five_percent(one: Found) -> None:
 
 @pytest.mark.parametrize("name", CHEAP)
 def test_a_tuned_loop_costs_five_percent_more_than_every_sample_in_a_short_simulation(name: str) -> None:
+    """The cheap cases."""
     expect_five_percent(found(name, paths=200, steps=400, settle=150, precision=1e-3))
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", CASES)
 def test_a_tuned_loop_costs_five_percent_more_than_every_sample(name: str) -> None:
+    """All cases."""
     expect_five_percent(found(name))

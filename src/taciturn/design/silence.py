@@ -15,9 +15,10 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
   forgetting, exceed their 1 − 10⁻⁹ quantile only if the plant differs. Then, and after a packet that was not
   acknowledged (``retry``), silence is forbidden.
 * If inputs have limits, the cost of silence is that of a forecast with them (``base/limited_value``). For the sensor
-  link, links that drop packets with or without acknowledgement, slower bases, totals, and set-points at known times, it is the cost without limits, and
-  silence is forbidden while a limit cuts the command. Over the sensor link, a forecast in which both choices reach the
-  limit finds silence free, and the controller, which then integrates an old measurement, leaves its place for long.
+  link, links that drop packets with or without acknowledgement, slower bases, totals, and set-points at known times, it
+  is the cost without limits, and silence is forbidden while a limit cuts the command. Over the sensor link, a forecast
+  in which both choices reach the limit finds silence free, and the controller, which then integrates an old
+  measurement, leaves its place for long. The same happens if a packet is lost and nobody tells the sender.
 
 ``relative_to_state`` is LQG with thresholds that grow with the estimate.
 
