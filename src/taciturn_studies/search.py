@@ -38,7 +38,7 @@ from taciturn.study.measure import Request
 from taciturn_studies.goal import EXACT, Goal, ViolationGoal
 
 ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
-AT_THE_END = 1e-3  # share of the range of all results within which a result counts as an end of this range
+AT_THE_END = 1e-3  # share of the range of all results, or of this end, within which a result counts as an end
 TINY = 1e-300  # in place of a value of 0, which has no logarithm
 LONGER = 8  # factor on the steps of a trial if the loop has not settled
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
@@ -492,9 +492,9 @@ def out_of_reach(
 ) -> ProblemError:
     """Return an error for a budget that cannot be met; its message states which values can be reached."""
     found, first = sorted(value for _, value in tried), np.log(max(tried[0][0], TINY))
-    same = AT_THE_END * (found[-1] - found[0])
 
     def end(limit: float) -> str:
+        same = AT_THE_END * min(found[-1] - found[0], max(abs(limit), abs(budget)))  # one end may be huge
         values = [value for value, given in tried if abs(given - limit) <= same]
         return f"{limit:.5g} ({tuned} = {min(values, key=lambda value: abs(np.log(max(value, TINY)) - first)):.4g})"
 

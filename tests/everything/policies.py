@@ -28,6 +28,7 @@ class Certainty:
     """
 
     link = "actuator"
+    sure = True  # whether the sender knows which input is applied, and so which packets change none
 
     def __init__(self, model: Model, rule: Rule | None, actuation: str = "hold", law: Law | None = None) -> None:
         """Design filter and gain; without a rule every sample is sent."""
@@ -169,6 +170,7 @@ class Certainty:
         candidate = self.last @ self.L.T if self.actuation == "model" else self.wanted
         self.command, self.candidate = (np.clip(one, model.low, model.high) for one in (command, candidate))
         changes = reached(model, self.command, self.held) != reached(model, self.candidate, self.held)
+        changes |= not self.sure
         self.error, self.deviation = candidate - command, self.last - self.estimate
         if model.limited:  # no error where a packet changes no input, and no packet that changes none
             self.error = np.where(changes, self.error, 0.0)

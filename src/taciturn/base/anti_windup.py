@@ -13,6 +13,8 @@ input that the plant never received. For a plant with limits, the policy steps o
 - A decision on one link to an actuator that holds its input excludes a packet that would change no input in this step,
   whatever else asks for a packet, except for a heartbeat. Nothing is lost: to each rule belongs another one that sends
   the same value later, when it first changes the input, so it applies the same inputs with no more packets.
+- A sender that never learns of lost packets does not know which input is applied, so both rules do not hold: otherwise
+  it would take a lost packet for the input at a limit, and stay silent however far the state goes.
 """
 
 from __future__ import annotations
@@ -37,20 +39,23 @@ COMPARED = ("error", "moved")  # differences of commands
 CHANGED = "changed inputs"  # number of inputs that a packet changes
 
 
-def within_limits(policy: Policy) -> Policy:
-    """Add anti-windup to a policy whose plant has input limits. Return the policy unchanged if the plant has none."""
+def within_limits(policy: Policy, unsure: bool = False) -> Policy:
+    """Add anti-windup to a policy whose plant has input limits. Return the policy unchanged if the plant has none.
+
+    ``unsure``: the link drops packets without acknowledgement.
+    """
     limits = policy.model.saturation
     if limits is None:
         return policy
-    return _Limited(policy, limits).policy()
+    return _Limited(policy, limits, unsure).policy()
 
 
 class _Limited:
     """The steps of a policy, and the inputs that its signals contain."""
 
-    def __init__(self, policy: Policy, limits: Saturation) -> None:
+    def __init__(self, policy: Policy, limits: Saturation, unsure: bool) -> None:
         """Find the signals that contain inputs: those that a node applies or holds, and those copied to them."""
-        self._policy, self._limits = policy, limits
+        self._policy, self._limits, self._unsure = policy, limits, unsure
         self._inputs = {signal: [*rows] for signal, (_, rows) in policy.applied.items()}
         sums = [step for step in policy.steps if isinstance(step, Assign)]
         rows: dict[str, list[int]] = {HELD: [*range(policy.model.inputs)]}
@@ -139,6 +144,10 @@ class _Limited:
     def _compared(self, step: Assign, names: Mapping[str, str]) -> Iterator[Step]:
         """Return the steps of a difference of commands: without limits, but 0 where the limits make them equal."""
         (terms,), raw, limited = step.branches, f"unlimited {step.signal}", f"limited {step.signal}"
+        apart = {self._unlimited.get(name, names.get(name, name)): matrix for name, matrix in terms.items()}
+        if self._unsure:
+            yield Assign(step.at, step.signal, apart)
+            return
         self._errors |= dict.fromkeys(terms, step)
         both = tuple(names.get(name, name) for name in terms)
         if self._limits.moves:  # what the actuator reaches in this step
@@ -148,7 +157,6 @@ class _Limited:
             for name, wanted in zip(found, both, strict=True):
                 yield Apply(step.at, {name: step.size}, limits, (wanted, held))
             both = found
-        apart = {self._unlimited.get(name, names.get(name, name)): matrix for name, matrix in terms.items()}
         yield Assign(step.at, raw, apart)
         yield Apply(step.at, {limited: step.size}, _where_apart, (raw, *both))
         yield Assign(step.at, step.signal, {limited: np.eye(step.size)})

@@ -273,6 +273,7 @@ def certainty_policy(
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
     functions: frozenset[str] = frozenset(),
+    unsure: bool = False,
 ) -> Policy:
     """Return the policy whose controller is at the sensor's site and sends the inputs over the link to the actuator."""
     problem, fixed_rates = certainty.problem, fixed_rates or {}
@@ -294,7 +295,8 @@ def certainty_policy(
         functions=functions,
         covers=GAUSSIAN_THEORY if closed_form is None else THEORY,
     )
-    return certainty.nominal(slower).policy(kind, steps, initial, claims, locations=locations, notes=notes)
+    nominal = certainty.nominal(slower)
+    return nominal.policy(kind, steps, initial, claims, locations=locations, notes=notes, unsure=unsure)
 
 
 def steps_at_the_actuator(

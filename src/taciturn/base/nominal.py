@@ -48,8 +48,12 @@ class Nominal(Displayed):
         network: Network | None = None,
         schedule: Schedule | None = None,
         notes: tuple[str, ...] = (),
+        unsure: bool = False,
     ) -> Policy:
-        """Make a policy from its steps and its theory, and add the costs of this loop and the plant's input limits."""
+        """Make a policy from its steps and its theory, and add the costs of this loop and the plant's input limits.
+
+        ``unsure``: the link drops packets without acknowledgement.
+        """
         problem = self.problem
         theory = replace(
             claims,
@@ -77,5 +81,6 @@ class Nominal(Displayed):
                 schedule=schedule,
                 notes=notes,
                 disturbance=self.disturbance,
-            )
+            ),
+            unsure,
         )

@@ -15,9 +15,10 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
   forgetting, exceed their 1 − 10⁻⁹ quantile only if the plant differs. Then, and after a packet that was not
   acknowledged (``retry``), silence is forbidden.
 * If inputs have limits, the cost of silence is that of a forecast with them (``base/limited_value``). For the sensor
-  link, links that drop packets, slower bases, totals, and set-points at known times, it is the cost without limits, and
-  silence is forbidden while a limit cuts the command. Over the sensor link, a forecast in which both choices reach the
-  limit finds silence free, and the controller, which then integrates an old measurement, leaves its place for long.
+  link, links that drop packets with or without acknowledgement, slower bases, totals, and set-points at known times, it
+  is the cost without limits, and silence is forbidden while a limit cuts the command. Over the sensor link, a forecast
+  in which both choices reach the limit finds silence free, and the controller, which then integrates an old
+  measurement, leaves its place for long. The same happens if a packet is lost and nobody tells the sender.
 
 ``relative_to_state`` is LQG with thresholds that grow with the estimate.
 
@@ -105,7 +106,7 @@ def send_for_given(
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
-    lossy = drops(network, link)
+    lossy, unacknowledged = drops(network, link), unsure(network, link)
     timed = isinstance(plant.changes, SampledChanges)
     if timed and (lossy or every > 1 or not average):
         why = "the link drops packets" if lossy else f"every is {every}" if every > 1 else "the cost is a total"
@@ -154,7 +155,8 @@ def send_for_given(
     # above the price in any case, also if that is 0: then silence is never the least
     at, forbidden = route.node, 2 * price + base + 1
     clipped = tuple[Step, ...]()
-    if plant.saturation is not None and link == "actuator" and every == 1 and average and not (lossy or timed):
+    followed = link == "actuator" and every == 1 and average
+    if plant.saturation is not None and followed and not (lossy or unacknowledged or timed):
         F = route.base.Phi + route.base.Gamma @ route.base.K
         limited = LimitedSilence.of(
             F, route.base.Gamma, route.base.K, found.H[0, 0], found.slope[0, 0], plant.saturation
@@ -208,10 +210,13 @@ def send_for_given(
         locations=time.locations if slopes is None else (count_ticks(len(slopes), 0),),
         network=network if lossy else None,
         notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
+        unsure=unacknowledged,
     )
 
 
-def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:
+def total_excess(
+    kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float], unacknowledged: bool = False
+) -> Policy:
     """Return the policy that sends an input iff e'He > δ, for a cost with a horizon or a discount."""
     prices, counter, plant = price_control(problem), StepCounter.of(problem, 1), problem.plant
     found = counter.filter
@@ -227,7 +232,8 @@ def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: C
         guarantee=bound_by_attempts(problem, cost, price, 1, False),
         identity=completed_square(problem.per_unit(cost), prices.square()),
     )
-    return Nominal(problem, cost, 0.0).policy(kind, steps, initial, claims, locations=counter.locations)
+    nominal = Nominal(problem, cost, 0.0)
+    return nominal.policy(kind, steps, initial, claims, locations=counter.locations, unsure=unacknowledged)
 
 
 def _every_sample(
@@ -241,6 +247,11 @@ def _every_sample(
 def drops(network: Network, link: str) -> bool:
     """Return whether a link drops some packets, and acknowledges the packets that arrive."""
     return network.acknowledges(link) and network.loss(link) > 0
+
+
+def unsure(network: Network, link: str) -> bool:
+    """Return whether a link drops some packets, and its sender never learns which."""
+    return network.loss(link) > 0 and not network.acknowledges(link)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -31,7 +31,7 @@ from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.route import CANDIDATE, Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.design.silence import drops, send_for_given, total_excess
+from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
@@ -132,7 +132,7 @@ def excess(
 
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":
-        return _lqg(discretise(plant, cost, period), actuation, price_at)
+        return _lqg(discretise(plant, cost, period), actuation, price_at, unsure(links, link))
     L = None
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
@@ -155,15 +155,17 @@ def excess(
     return send_for_given("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
 
 
-def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:
+def _lqg(
+    problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float], unacknowledged: bool
+) -> Policy:
     """Return the policy with the gains of LQG, over the actuator link, relative to a packet at every step."""
     if problem.cost.mission:
-        return total_excess("excess", problem, actuation, price_at)
+        return total_excess("excess", problem, actuation, price_at, unacknowledged)
     certainty = design_certainty("excess", problem)
     price = price_at(certainty.cost_all_time)
     plant, best = problem.plant, certainty.regulator
     silent, foreseen = Form(("error",), best.H), tuple[Apply, ...]()
-    if plant.saturation is not None:
+    if plant.saturation is not None and not unacknowledged:
         F, slope = plant.A + plant.B @ best.L, np.zeros_like(best.L)
         rollout = LimitedSilence.of(F, plant.B, best.L, best.H, slope, plant.saturation)
         silent, foreseen = Form(plus={COST: 1.0}), (rollout.step("controller", (ESTIMATE,), CANDIDATE, "command"),)
@@ -178,6 +180,7 @@ def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float],
         guarantee=bound_by_silence(certainty, price, "khashooei2017"),
         reset=certainty.reset(actuation),
         functions=frozenset({COST}),
+        unsure=unacknowledged,
     )
 
 
