@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
 from catalogue import KEEPING
+from runtime.test_operator import SECRET, Tapped, running, tank
+from typer.testing import CliRunner
 
 import taciturn
 from taciturn import Nodes, Problem, ProblemError
+from taciturn.cli import app
 from taciturn.model.packets import inputs_at, outputs_at, roles
+from taciturn.nodes.keys import Keys
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import parse
+from taciturn_udp.operator import Operator
 from taciturn_worlds.devices import DeviceNode, compile_devices
 
 BY_HAND = {**dict.fromkeys(range(8, 14), 0.5), **dict.fromkeys(range(14, 17), -1.5), 25: 0.25}  # by step
@@ -194,3 +201,43 @@ def test_a_link_waits_for_its_interval_by_hand_too() -> None:
     times = np.flatnonzero(sent)
     assert set(np.diff(times[times < 10])) == {5}
     assert set(np.diff(times[times > 12])) == {3}
+
+
+@pytest.mark.parametrize("keys", [None, SECRET], ids=["plain", "keyed"])
+def test_an_operator_gives_manual_inputs_to_a_running_loop(keys: Keys | None) -> None:
+    """Each packet takes effect, the report tells the mode, and recorded packets do not change it."""
+    problem = tank()
+    loop = problem.close(problem.design())
+    with running(loop, keys) as (server, controller), closing(Tapped()) as tap, closing(Tapped()) as other:
+        operator, node = Operator(tap, controller, keys), server.nodes[0]
+        assert operator.ask().manual is None
+        found = operator.operate([0.25])
+        assert found.manual == node.manual == (0.25,)
+        assert found.sentence().startswith("manual input 0.25, set-point 0 in effect from step")
+        assert operator.give([0.125]).manual == (0.25,)
+        later = Operator(other, controller, keys)
+        assert later.operate(None).manual is None
+        for datagram in tap.recorded:
+            other.send(datagram, controller)
+        with pytest.raises(ProblemError, match="expected 1 finite number, one for each input"):
+            later.operate([1.0, 2.0])
+        assert later.ask().manual is None
+        assert later.operate([0.5]).manual == (0.5,)
+    assert node.reasons["manual"] > 0
+    assert server.report()["manual"] == [[0.5]]
+
+
+def test_the_command_sets_the_mode() -> None:
+    """By an option, and by lines; the state of a controller that has no commands is refused."""
+    problem, runner = tank(), CliRunner()
+    with running(problem.close(problem.design()), None) as (server, (host, port)):
+        to = ["setpoint", f"{host}:{port}"]
+        shown = runner.invoke(app, [*to, "--manual", "0.25"])
+        both = runner.invoke(app, [*to, "--manual", "0.25", "--automatic"])
+        lines = runner.invoke(app, [*to, "--json"], input="manual 0.5\nmanual\nautomatic\n0.125\n")
+        assert runner.invoke(app, [*to, "--automatic"]).stdout.startswith("set-point 0.125 in effect")
+    assert shown.stdout.startswith("manual input 0.25, set-point 0 in effect from step")
+    assert both.exit_code != 0
+    assert [json.loads(line)["manual"] for line in lines.stdout.splitlines()] == [[0.25], [0.5], None, None]
+    assert "the line is ''; expected numbers" in lines.stderr
+    assert server.nodes[0].manual is None

@@ -192,7 +192,11 @@ def _command_of(policy: Policy, signal: str, node: str, inputs: tuple[int, ...])
     held = next((one for one in _copies(node) if one in policy.sizes), None)
     silent: Terms | None = None
     if len(others) == 1 and others[0].keys() <= {signal, ONE} and (held or signal not in others[0]):
-        silent = {held if one == signal and held else one: M for one, M in others[0].items()}
+        whole = np.eye(policy.model.inputs)[[*inputs]]  # a copy without the name of a node is that of all inputs
+        silent = {one: M for one, M in others[0].items() if one != signal}
+        weight = others[0].get(signal)
+        if held and isinstance(weight, np.ndarray):
+            silent[held] = weight @ whole if held.endswith(HELD) else weight
     return _Command(name, inputs, silent)
 
 

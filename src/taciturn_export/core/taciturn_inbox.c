@@ -313,7 +313,8 @@ static void put_inputs(const tac_channel_data *data, const tac_packet *packet, t
 /* Return whether other set-points than those of a channel have no effect, because an operator has given some. */
 static bool is_overruled(const tac_node *node, unsigned i) {
   unsigned own = tac_operator(node->data);
-  return own < node->data->channel_count && node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT && node->channels[own].newest > 0U;
+  bool simulated = node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT;
+  return own < node->data->channel_count && simulated && node->channels[own].newest > 0U;
 }
 
 /* Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain. */

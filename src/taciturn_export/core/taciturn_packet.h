@@ -58,8 +58,8 @@ typedef struct {
   uint8_t entries;
   bool back; /* whether a mark, a challenge or an answer travels against the link; other kinds have one direction */
   tac_real values[TAC_VALUES];
-} tac_packet; /* an operator gives a controller set-points as TAC_SETPOINT, and manual inputs as TAC_MANUAL; the controller
-               * tells him the set-points in effect as TAC_REPORT, and the manual inputs as TAC_MODE */
+} tac_packet; /* an operator gives a controller set-points as TAC_SETPOINT and manual inputs as TAC_MANUAL, which tells
+               * him the set-points in effect as TAC_REPORT and the manual inputs as TAC_MODE */
 
 /* The payload format of packets of one kind on one link. With int16, a value is an integer multiple of a step size:
  * `per_unit` and `per_step` contain steps per unit and units per step of each entry. Otherwise they are NULL. */
