@@ -196,6 +196,7 @@ class DeviceNode(Node):
 
     @manual.setter
     def manual(self, values: Sequence[float] | None) -> None:
+        """Set the manual inputs of the device, or None for automatic operation."""
         given = None if values is None else (c.c_double * len(values))(*values)
         if not self._code.tac_manual(self._self, given) and values is not None:
             Node.manual.__set__(self, values)  # which says what is wrong

@@ -230,6 +230,7 @@ class Node:
 
     @manual.setter
     def manual(self, values: Sequence[float] | None) -> None:
+        """Set the manual inputs, or None for automatic operation."""
         at = self._layout.manual
         if at is None and values is not None:
             if self.policy.network.controller not in self.program.site:

@@ -84,7 +84,7 @@ class Nodes:
         set_points: set-points in effect in the last step, (z,), within their range and ramp.
         silence: what the silence of each node that decides has cost since the start (``Life``), if the policy has a
             bound on every path. It contains neither the effect of applied inputs that differ from the commands, nor
-            that of outputs that were not measured.
+            that of manual inputs and of outputs that were not measured.
 
     Raises:
         InformationError: a node uses a value that is not available to it over the network.

@@ -67,7 +67,7 @@ class _Integrals:
 
 @dataclass(frozen=True, eq=False)
 class Operation:
-    """What manual operation changes in the steps of a policy."""
+    """The changes that manual operation makes in the steps of a policy."""
 
     commands: tuple[_Command, ...]
     sends: Mapping[str, _Sending]  # by decision
