@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from catalogue import KEEPING
+from runtime.test_missing import PLANT, filter_and_gain, problem
 from runtime.test_operator import SECRET, Tapped, running, tank
 from typer.testing import CliRunner
 
@@ -157,6 +158,21 @@ def test_a_pid_controller_returns_without_a_jump_against_numpy(limit: float | No
         found = nodes.step([y], manual=None if by_hand is None else [by_hand])
         assert found == pytest.approx([u], abs=1e-9), tick
         assert packet is None or packet.values == tuple(found)
+
+
+def test_the_filter_follows_manual_inputs_against_numpy() -> None:
+    """LQG returns with the command for its estimate, which the manual inputs have moved."""
+    one = problem({"kind": "all-time"})
+    policy, nodes, draws = one.design(), Nodes(one), np.random.default_rng(4)
+    A, B, C = (np.array(PLANT[name]) for name in "ABC")
+    G, L, prior = filter_and_gain(policy.model.V)
+    for tick in range(30):
+        y = draws.standard_normal(1)
+        by_hand = [1.5] if 10 <= tick < 20 else None
+        estimate = prior + G @ (y - C @ prior)
+        u = nodes.step(y, manual=by_hand)
+        assert np.allclose(u, L @ estimate if by_hand is None else by_hand, rtol=1e-9, atol=1e-12)
+        prior = A @ estimate + B @ u
 
 
 def test_every_integral_of_several_loops_follows_and_in_the_units_of_the_plant() -> None:
