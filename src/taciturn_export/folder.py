@@ -477,12 +477,15 @@ from another node to `tac_receive`:
 | 6 | answer | with a key: to the node that has sent the challenge |
 | 7 | setpoint | from an operator to a controller, whose set-points may change: `taciturn setpoint` |
 | 8 | report | back to the operator, with the set-points received and those in effect |
+| 9 | manual | from an operator to such a controller: 1 and manual inputs, or 0 for automatic operation |
+| 10 | mode | back to the operator, as kind 9, with what is in effect |
 
 The kinds 3 (measurement) and 4 (input) are packets between a node and a plant that is another process. `tac_receive`
 discards them: read them with `tac_decode` and write them with `tac_encode`, using `&node->data->wire`. An exception
 are the set-points of a controller, if they may change: `tac_receive` takes them as packets of kind 3 on the link
 `setpoint`, and `tac_setpoint(node, values)` sets them from the next step on. They remain in effect until then. After
 packets of an operator, those of kind 3 have no effect; `tac_setpoints(node, values)` writes the set-points in effect.
+`tac_manual(node, values)` lets a controller command given inputs, until `tac_manual(node, NULL)`.
 
 * All nodes use the same **step** numbers. In each step the nodes that measure run first, then the controller, then the
   nodes that apply inputs; leave enough time between them for packets to arrive. A node that starts while the loop runs

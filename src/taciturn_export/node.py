@@ -50,12 +50,15 @@ from taciturn.program.ir import Program
 from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Precision
 
-FORMAT = 4  # version of the data, TAC_FORMAT of the core
+FORMAT = 5  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
-_SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "applied", "limited")
-_COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count")
+_SIZES = (
+    "input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "manual",
+    "applied", "limited",
+)  # fmt: skip
+_COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count", "manual_count")
 
 
 def link_code(policy: Policy, link: str) -> str:
@@ -109,6 +112,7 @@ class NodeData(Displayed):
             "clocks_at": layout.clocks,
             "drawn_at": layout.drawn.start,
             "drawn_count": layout.drawn.stop - layout.drawn.start,
+            "manual": layout.manual or 0,
             "applied": -1 if layout.applied is None else layout.applied.start,
             "limited": -1 if layout.limited is None else layout.limited.start,
             "measurement_count": layout.measured,
@@ -116,13 +120,14 @@ class NodeData(Displayed):
             "channel_count": len(layout.arrivals),
             "send_count": len(layout.departures),
             "clock_count": len(program.clocks),
+            "manual_count": 0 if layout.manual is None else self.policy.model.inputs,
         }
 
     @property
     def crc(self) -> int:
         """CRC-32 checksum of all constant data, in the order in which the C function ``tac_check`` reads them."""
         numbers, layout = self._numbers, self.layout
-        found = struct.pack(">I6H2h", FORMAT, *(numbers[name] for name in _SIZES))
+        found = struct.pack(">I7H2h", FORMAT, *(numbers[name] for name in _SIZES))
         found += bytes([*(numbers[name] for name in _COUNTS), len(self._shapes), self.network.protocol == "ideal"])
         found += struct.pack(">II4Q", numbers["remembers"], numbers["constant_count"], *self._generator)
         found += struct.pack(">Q", fingerprint(self.policy, self.network))

@@ -436,6 +436,14 @@ def setpoint(
             help="Set-points, one number for each. Default: read them from lines of the standard input.",
         ),
     ] = None,
+    manual: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U[,…]",
+            help="Inputs of the plant in place of those of the controller, one number for each, until --automatic.",
+        ),
+    ] = None,
+    automatic: Annotated[bool, typer.Option("--automatic", help="Return from manual to automatic operation.")] = False,
     key: Key = None,
     epoch: Annotated[
         int | None,
@@ -444,7 +452,10 @@ def setpoint(
     wait: Annotated[float, typer.Option(help="Longest time to wait for the controller, in seconds.")] = 10.0,
     as_json: Json = False,
 ) -> None:
-    """Give a running controller set-points, and print those in effect, within their range and ramp."""
+    """Give a running controller set-points or manual inputs, and print what is in effect.
+
+    Without an option, lines of the standard input are set-points, "manual U[,…]" or "automatic".
+    """
     from taciturn.errors import ProblemError
     from taciturn.extend import count, number
     from taciturn.nodes.keys import read_keys
@@ -455,6 +466,9 @@ def setpoint(
     to = parse_address("HOST:PORT", address)
     secret = read_keys(key, hosts_of(to))
     given = None if value is None else _numbers("--value", value)
+    by_hand = None if manual is None else _numbers("--manual", manual)
+    if (value is not None) + (manual is not None) + automatic > 1:
+        raise ProblemError("several of --value, --manual and --automatic are given; expected one of them, or none")
     if epoch is not None:
         number("--epoch", count("--epoch", epoch), high=0xFFFFFFFF, closed=True)
 
@@ -463,11 +477,20 @@ def setpoint(
 
     with Endpoint(("0.0.0.0", 0)) as endpoint:
         operator = Operator(endpoint, to, secret, epoch, number("--wait", wait, 0.0, 86400.0, closed=True))
+        if by_hand is not None or automatic:
+            show(operator.operate(by_hand))
+            return
         show(operator.ask() if given is None else operator.give(given))
         for line in sys.stdin if given is None else ():
             if line.strip():
+                word, _, rest = line.strip().partition(" ")
                 try:
-                    show(operator.give(_numbers("the line", line)))
+                    if word == "automatic":
+                        show(operator.operate(None))
+                    elif word == "manual":
+                        show(operator.operate(_numbers("the line", rest)))
+                    else:
+                        show(operator.give(_numbers("the line", line)))
                 except ProblemError as error:
                     say(str(error))
 

@@ -77,6 +77,8 @@ def log_line(
         line["u"] = list(given)
     if node.set_points is not None:
         line |= {"set_points": list(node.set_points.given), "set_points_in_effect": list(node.set_points.in_effect)}
+    if node.operable:
+        line["manual"] = None if node.manual is None else list(node.manual)
     line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
     line |= {"silent": int(node.silent), "silent_links": list(node.silent_links)}
     return line | {"waiting": node.waiting}

@@ -178,6 +178,8 @@ class NodeServer:
             found["set_points"] = [
                 {"loop": loop, "given": list(one.given), "in_effect": list(one.in_effect)} for loop, one in points
             ]
+        if any(node.operable for node in self.nodes):
+            found["manual"] = [None if node.manual is None else list(node.manual) for node in self.nodes]
         if self._lateness:
             late = np.percentile(1e3 * np.array(self._lateness), SHARES)
             names = ("p50", "p95", "p99", "max")
@@ -220,7 +222,7 @@ class NodeServer:
                     self._measured[packet.loop] = Window()
             return False
         admitted = self.reception.admits(packet, sender)
-        if admitted and packet.kind == "setpoint" and node.set_points is not None:
+        if admitted and packet.kind in ("setpoint", "manual") and node.set_points is not None:
             self._asked[packet.loop] = sender
         return admitted
 
@@ -237,12 +239,16 @@ class NodeServer:
         return False
 
     def _report_set_points(self, node: Node, to: Address) -> None:
-        """Tell an operator the set-points given and in effect, the newest packet of an operator, and the next step."""
+        """Tell an operator the set-points given and in effect, the mode, his newest packet, and the next step."""
         window, points = node.inbox.streams[OPERATOR].window, node.set_points
         assert points is not None, "only a controller that is given set-points reports them"
         newest = max(window.newest, 0), (*points.given, *points.in_effect), max(window.epoch, 0)
-        told = Packet("report", SETPOINT, node.tick + 1, *newest, node.loop)
-        self.endpoint.send(self.wire.encode(told), to)
+        told = [Packet("report", SETPOINT, node.tick + 1, *newest, node.loop)]
+        if node.operable:  # before the report, so that an operator who has a report knows the mode
+            mode = (0.0,) * (1 + node.policy.model.inputs) if node.manual is None else (1.0, *node.manual)
+            told.insert(0, told[0]._replace(kind="mode", values=mode))
+        for packet in told:
+            self.endpoint.send(self.wire.encode(packet), to)
 
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""

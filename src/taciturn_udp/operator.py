@@ -1,4 +1,4 @@
-"""The set-points of an operator, sent to a running controller, which enforces their limits and reports them.
+"""The set-points and manual inputs of an operator, sent to a running controller, which reports what is in effect.
 
 An operator knows the address of the controller and the key of the link ``setpoint``, but not the policy. So the
 exchange begins with a challenge, whose answer contains all that the operator needs:
@@ -10,6 +10,10 @@ exchange begins with a challenge, whose answer contains all that the operator ne
    until a report confirms them. With a key, the controller first challenges the operator, as any other sender.
 3. After each step before which it has received set-points, the controller reports the set-points that it has received,
    those that are in effect, within their range and ramp, and the epoch and number of the newest packet.
+
+Manual inputs, and the return to automatic operation, are sent and repeated in the same way, and numbered together with
+the set-points. With each report, the controller tells its mode, and thereby the number of its inputs, unless it cannot
+be operated by hand.
 
 An answer repeats the random number, and a report the epoch and number of a packet, so that recorded ones are useless.
 """
@@ -24,7 +28,7 @@ from typing import NamedTuple
 from taciturn.errors import ProblemError
 from taciturn.extend import number_of
 from taciturn.model.packets import operator_shapes
-from taciturn.model.wire import ANY_LINK, ANY_POLICY, HEADER_SIZE, KINDS, OFFSETS, SETPOINT, fits
+from taciturn.model.wire import ANY_LINK, ANY_POLICY, HEADER_SIZE, KINDS, OFFSETS, SETPOINT, PacketKind, fits
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.packet import Frames, Packet
 from taciturn_udp.endpoint import Address
@@ -33,6 +37,7 @@ from taciturn_udp.service import Port
 
 AGAIN = 0.2  # seconds after which a packet without an answer is sent again
 PATIENT = 10.0  # seconds until the operator gives up
+ASKED = 3  # times that the operator asks whether the controller can be operated by hand
 FOLLOWED = 2  # steps whose set-points are compared, to tell a ramp from a range
 
 
@@ -43,10 +48,12 @@ class InEffect(NamedTuple):
     given: tuple[float, ...]  # set-points that the controller has received
     in_effect: tuple[float, ...]  # set-points within their range and ramp
     moves: bool = False  # whether they move on to those that were given
+    manual: tuple[float, ...] | None = None  # manual inputs; None: automatic
 
     def sentence(self) -> str:
         """Return the set-points in effect, and why they are not those that were given, if so."""
-        found = f"set-point {_text(self.in_effect)} in effect from step {self.step}"
+        by_hand = "" if self.manual is None else f"manual input {_text(self.manual)}, "
+        found = f"{by_hand}set-point {_text(self.in_effect)} in effect from step {self.step}"
         if self.given == self.in_effect:
             return found
         why = "on the ramp towards" if self.moves else "at the end of the range, before"
@@ -78,6 +85,8 @@ class Operator:
         self._policy: tuple[int, int] | None = None  # fingerprint of the policy, and number of the link
         self._nonce = 0
         self._sequence, self._tick, self._size = -1, 0, 0
+        self._inputs = 0  # number of inputs of the plant; 0: not known
+        self._manual: tuple[float, ...] | None = None
 
     def ask(self) -> InEffect:
         """Return the present set-points of the controller."""
@@ -100,7 +109,7 @@ class Operator:
         key = "without a key" if self._keys is None else f"with the same key of the link {SETPOINT!r}"
         raise ProblemError(
             f"nobody answers at {self._place} within {self._patience:g} s; expected a running controller {key}, whose "
-            "set-points may change ([reference] in its problem file)"
+            "set-points may change (add [reference] with range or ramp to its problem file, also for manual inputs)"
         )
 
     def give(self, values: Sequence[float]) -> InEffect:
@@ -114,12 +123,8 @@ class Operator:
             )
         self._sequence += 1
         first: InEffect | None = None
-        for packet in self._until_answered(lambda: self._encoded(tuple(values))):
-            if packet.kind != "report":
-                continue
-            if packet.epoch > self._epoch and self._stated is None:  # another operator has started after this one
-                self._epoch, self._sequence = packet.epoch + 1, 0
-            if (packet.epoch, packet.sequence) != (self._epoch, self._sequence):
+        for packet in self._until_answered(lambda: self._encoded("setpoint", tuple(values))):
+            if packet.kind != "report" or not self._confirms(packet):
                 continue
             found = self._report(packet)
             if found.given == found.in_effect:
@@ -129,25 +134,59 @@ class Operator:
             first = first or found
         if first is not None:
             return first._replace(moves=True)
-        raise ProblemError(
-            f"the controller at {self._place} has not confirmed the set-points within {self._patience:g} s; expected "
-            "a controller that executes steps: is its plant running, and is a step shorter than --wait?"
+        raise self._not_confirmed("the set-points")
+
+    def operate(self, values: Sequence[float] | None) -> InEffect:
+        """Give the controller manual inputs, or None for automatic operation; return what is in effect after its next
+        step.
+        """
+        for _ in range(ASKED):  # the packet that states the number of inputs may be lost
+            if self._policy is None or not self._inputs:
+                self.ask()
+        if not self._inputs:
+            raise ProblemError(
+                f"the controller at {self._place} cannot be operated by hand; expected a policy whose actuators apply "
+                "the command of a linear controller"
+            )
+        if values is not None and (len(values) != self._inputs or not fits(values)):
+            raise ProblemError(
+                f"the manual input is {list(values)}; expected {number_of(self._inputs, 'finite number')}, one for "
+                "each input of the plant"
+            )
+        payload = (0.0,) * (1 + self._inputs) if values is None else (1.0, *map(float, values))
+        self._sequence += 1
+        for packet in self._until_answered(lambda: self._encoded("manual", payload)):
+            told = self._manual == (None if values is None else payload[1:])
+            if packet.kind == "report" and self._confirms(packet) and told:
+                return self._report(packet)
+        raise self._not_confirmed("the manual input" if values is not None else "automatic operation")
+
+    def _not_confirmed(self, what: str) -> ProblemError:
+        return ProblemError(
+            f"the controller at {self._place} has not confirmed {what} within {self._patience:g} s; expected a "
+            "controller that executes steps: is its plant running, and is a step shorter than --wait?"
         )
+
+    def _confirms(self, packet: Packet) -> bool:
+        """Return whether a report is on the newest packet of this operator; begin a later epoch if another one has."""
+        if packet.epoch > self._epoch and self._stated is None:  # another operator has started after this one
+            self._epoch, self._sequence = packet.epoch + 1, 0
+        return (packet.epoch, packet.sequence) == (self._epoch, self._sequence)
 
     def _report(self, packet: Packet) -> InEffect:
         half = len(packet.values) // 2
         self._size, self._tick = half, max(self._tick, packet.tick)
-        return InEffect(max(packet.tick - 1, 0), packet.values[:half], packet.values[half:])
+        return InEffect(max(packet.tick - 1, 0), packet.values[:half], packet.values[half:], manual=self._manual)
 
-    def _encoded(self, values: tuple[float, ...]) -> bytes:
-        packet = Packet("setpoint", SETPOINT, self._tick, self._sequence, values, self._epoch)
+    def _encoded(self, kind: PacketKind, values: tuple[float, ...]) -> bytes:
+        packet = Packet(kind, SETPOINT, self._tick, self._sequence, values, self._epoch)
         return self._frames(self._size).encode(packet)
 
     def _frames(self, size: int) -> Frames:
         """Return the encoder and decoder of the packets of the known policy."""
         assert self._policy is not None, "the controller has answered"
         fingerprint, link = self._policy
-        return Frames(fingerprint, {link: SETPOINT}, operator_shapes(SETPOINT, size), self._keys)
+        return Frames(fingerprint, {link: SETPOINT}, operator_shapes(SETPOINT, size, self._inputs), self._keys)
 
     def _until_answered(self, datagram: Callable[[], bytes]) -> Iterator[Packet]:
         """Send a datagram again and again, and yield what arrives meanwhile; answer challenges."""
@@ -175,11 +214,16 @@ class Operator:
         if not answers and self._policy != (policy, link):
             return None
         size = datagram[OFFSETS["entries"]] // 2 if kind == KINDS.index("report") else self._size
-        packet = Frames(policy, {link: SETPOINT}, operator_shapes(SETPOINT, size), self._keys).decode(datagram)
+        inputs = datagram[OFFSETS["entries"]] - 1 if kind == KINDS.index("mode") else self._inputs
+        shapes = operator_shapes(SETPOINT, size, max(0, inputs))
+        packet = Frames(policy, {link: SETPOINT}, shapes, self._keys).decode(datagram)
         if isinstance(packet, str) or (answers and (not packet.back or packet.nonce != self._nonce)):
             return None
         if answers:
             self._policy = policy, link
+        if packet.kind == "mode":
+            by_hand, *values = packet.values
+            self._inputs, self._manual = len(values), tuple(values) if by_hand > 0.0 else None
         return packet
 
 

@@ -101,7 +101,7 @@ class Reception:
         """Return whether the sender of a packet has proven that it is running; if it has not, send it a challenge."""
         if not self._wire.keyed:
             return True
-        sender_of = OPERATED if packet.kind == "setpoint" else packet.link
+        sender_of = OPERATED if packet.kind in ("setpoint", "manual") else packet.link
         session = self._known.setdefault((sender_of, packet.loop), _Session())
         if packet.epoch == session.epoch:
             if packet.tick < session.first:

@@ -119,6 +119,7 @@ class DeviceCode:
             "tac_silent",
             "tac_silent_on",
             "tac_restore",
+            "tac_manual",
             "shim_settled",
         ):
             getattr(self.code, name).restype = c.c_bool
@@ -186,6 +187,19 @@ class DeviceNode(Node):
     def waiting(self) -> int:
         """Number of packets that arrived early and wait for their step."""
         return self._code.shim_waiting(self._self)
+
+    @property
+    def manual(self) -> Values | None:
+        """Manual inputs of the device; None if its operation is automatic."""
+        self._inputs = self._numbers("shim_inputs", len(self._inputs))
+        return super().manual
+
+    @manual.setter
+    def manual(self, values: Sequence[float] | None) -> None:
+        """Set the manual inputs of the device, or None for automatic operation."""
+        given = None if values is None else (c.c_double * len(values))(*values)
+        if not self._code.tac_manual(self._self, given) and values is not None:
+            Node.manual.__set__(self, values)  # which says what is wrong
 
     @property
     def degraded(self) -> bool:

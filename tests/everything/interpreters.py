@@ -21,6 +21,7 @@ from taciturn.errors import TaciturnError
 from taciturn.model.policy import Policy
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
+from taciturn.program.manual import operation_of
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import decode, encode
 from taciturn_worlds.world import run_world, run_world_with_devices
@@ -79,13 +80,15 @@ def saved_state(problem: Problem, found: Evaluation, seed: int, folder: Path) ->
     nodes = taciturn.Nodes(policy, problem.network, seed % 1000)
     plant = SimulatedPlant(problem.close(policy), seed)
     sensed = policy.model.sensed
-    changing = policy.model.outputs > sensed
+    changing, operable = policy.model.outputs > sensed, operation_of(policy.in_units) is not None
     horizon = problem.cost.horizon or TICKS
     for tick in range(min(30, horizon)):
         if tick == min(12, horizon - 1):
             other = pickle.loads(pickle.dumps(nodes))
         y = plant.measurement
         told: dict[str, Any] = {"reference": y[sensed:]} if changing else {}
+        if operable and 9 <= tick < 15:  # by hand, also while the nodes are pickled
+            told["manual"] = [0.1] * policy.model.inputs
         u = nodes.step(y[:sensed], **told)
         if tick >= min(12, horizon - 1) and other.step(y[:sensed], **told).tobytes() != u.tobytes():
             return f"pickled nodes differ in step {tick}"

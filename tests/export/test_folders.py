@@ -247,9 +247,9 @@ def test_what_a_device_does_is_compiled_as_the_instructions_have_it(
 
 
 def test_the_instructions_list_every_kind_of_packet_with_its_number() -> None:
-    """Those of the wire format: three between nodes, two with a key, and two with the plant."""
+    """Those of the wire format: three between nodes, two with a key, two with the plant, and four of an operator."""
     text = print_folder(two_mass(), "two_mass", rows=1).files["README.md"]
-    found = re.findall(r"^\| (\d) \| (\w+) \|", text, re.MULTILINE) + re.findall(r"(\d) \((measurement|input)\)", text)
+    found = re.findall(r"^\| (\d+) \| (\w+) \|", text, re.MULTILINE) + re.findall(r"(\d) \((measurement|input)\)", text)
     assert {int(number): kind for number, kind in found} == dict(enumerate(KINDS))
     assert "`tac_set_keys(node, link, key, other)`" in text
     assert "`{NULL, 0}`" in text

@@ -61,6 +61,7 @@ from taciturn.model.controller import (
     ContinuousController,
     Controller,
     following,
+    integral_modes,
     pids_of,
     relative_to,
 )
@@ -612,8 +613,7 @@ def _bumpless(c: Controller, error: Array, command: Array) -> Array:
     """Return the state of the controller with a first command, at rest apart from its integrals."""
     left = np.eye(len(c.A)) - c.A - c.E @ c.C
     state = np.asarray(np.linalg.pinv(left) @ (c.B + c.E @ c.D) @ error, dtype=np.float64)
-    _, sizes, rows = np.linalg.svd(left)
-    integrals = rows[sizes < 1e-9].T
+    integrals = integral_modes(c.A + c.E @ c.C)
     state = state + integrals @ np.linalg.pinv(c.C @ integrals) @ (command - c.C @ state - c.D @ error)
     if np.abs(c.C @ state + c.D @ error - command).max() > RESTS * max(1.0, float(np.abs(command).max())):
         raise ProblemError(

@@ -37,6 +37,9 @@ from taciturn.model.state_space import refuse_descriptor, state_space_of, vars_o
 Method: TypeAlias = Literal["tustin", "zoh"]
 
 
+_KEPT = 1e-9  # change per step of a state that a controller keeps, relative to the state
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(Displayed):
     """A linear controller in discrete time: z⁺ = A z + B y + E u + F r and u = C z + D y + G r with set-points r.
@@ -509,6 +512,12 @@ def relative_to(kept: AnyController, plant: Plant | ContinuousPlant) -> AnyContr
         return replace(kept, setpoint=moved)
     u = None if kept.start_input is None else kept.start_input - point.u
     return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, kept.disturbance, moved, u, kept.F, kept.G)
+
+
+def integral_modes(A: Array) -> Array:
+    """Return the states, as columns, that a controller x⁺ = A x keeps: its integrals."""
+    _, sizes, rows = np.linalg.svd(np.eye(len(A)) - A)
+    return rows[sizes < _KEPT].T
 
 
 def controller_from(

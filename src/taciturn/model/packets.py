@@ -174,7 +174,7 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
         sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs)}
         shapes |= {(kind, link): (exact, size) for kind, size in sizes.items() if size}
         shapes |= {("mark", link): (exact, 0)}
-        shapes |= operator_shapes(link, len(ends.outputs)) if link == SETPOINT else {}
+        shapes |= operator_shapes(link, len(ends.outputs), policy.model.inputs) if link == SETPOINT else {}
     return shapes
 
 
@@ -183,9 +183,15 @@ def carries_samples(kind: str, link: str) -> bool:
     return kind == "measurement" and link != SETPOINT
 
 
-def operator_shapes(link: str, set_points: int) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
-    """Return the packets between an operator and the controller: set-points; and those received and those in effect."""
-    return {("setpoint", link): (Encoding(), set_points), ("report", link): (Encoding(), 2 * set_points)}
+def operator_shapes(link: str, set_points: int, inputs: int) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
+    """Return the packets between an operator and the controller.
+
+    They contain set-points; those received and those in effect; and, given or in effect, 1 and manual inputs, or 0 if
+    the operation is automatic.
+    """
+    sizes: dict[PacketKind, int] = {"setpoint": set_points, "report": 2 * set_points}
+    sizes |= {"manual": 1 + inputs, "mode": 1 + inputs}
+    return {(kind, link): (Encoding(), size) for kind, size in sizes.items()}
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:

@@ -17,20 +17,34 @@ from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
 PacketKind = Literal[
-    "data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer", "setpoint", "report"
+    "data",
+    "acknowledgement",
+    "mark",
+    "measurement",
+    "input",
+    "challenge",
+    "answer",
+    "setpoint",
+    "report",
+    "manual",
+    "mode",
 ]
 KINDS: tuple[PacketKind, ...] = (
-    "data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer", "setpoint", "report"
+    "data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer", "setpoint", "report", "manual",
+    "mode",
 )  # fmt: skip
 PLANT = "plant"  # the link between the plant and its nodes
 # the link on which the controller is given set-points: by a simulated plant as measurements, by an operator as packets
-# of the kind "setpoint", which the controller answers with a "report"
+# of the kind "setpoint", which the controller answers with a "report"; an operator sets the mode, automatic or manual,
+# and the manual inputs with packets of the kind "manual", and the controller answers with its "mode"
 SETPOINT = "setpoint"
 # number of the link and fingerprint in the challenge of an operator, who learns them from the answer
 ANY_LINK, ANY_POLICY = 255, 0
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
-BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input", "report"})  # kinds that travel against their link
+BACK: frozenset[PacketKind] = frozenset(
+    {"acknowledgement", "input", "report", "mode"}
+)  # kinds that travel against their link
 EITHER: frozenset[PacketKind] = frozenset({"mark", "challenge", "answer"})  # kinds that both ends of a link send
 PROOFS: frozenset[PacketKind] = frozenset({"challenge", "answer"})  # kinds whose payload is a nonce
 VERSION = 2

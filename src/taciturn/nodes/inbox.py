@@ -12,8 +12,9 @@
 | is a mark: its sender is running and has finished a step | `marks` |
 | has set-points of a simulated plant, although an operator has given others | `overruled`, dropped |
 
-An operator does not know the number of the step. So the set-points of an operator take effect in the next step, and of
-two packets that arrive before it, the later one by its sequence number; an earlier one is `superseded`.
+An operator does not know the number of the step. So the set-points and manual inputs of an operator take effect in the
+next step, and of two packets that arrive before it, the later one by its sequence number; an earlier one is
+`superseded`.
 
 The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
 decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
@@ -36,7 +37,8 @@ WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
 AHEAD = 64  # largest number of steps by which a packet may be early
 Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "superseded", "ahead", "marks", "waiting", "late"]
-OPERATOR = "setpoint", SETPOINT  # kind and link of the packets of an operator
+OPERATOR = "setpoint", SETPOINT  # kind and link of an operator's packets with set-points
+BY_HAND = "manual", SETPOINT  # and of those with manual inputs
 USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
@@ -104,10 +106,13 @@ class Stream(Displayed):
 
 def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
     """Create the streams of packets that a node receives: one for each kind of packet and each link."""
-    kept = ("measurement", "setpoint")
-    return {
-        (a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind in kept, a.kind == "setpoint") for a in arrivals
+    kept, operated = ("measurement", "setpoint", "manual"), ("setpoint", "manual")
+    found = {
+        (a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind in kept, a.kind in operated) for a in arrivals
     }
+    if BY_HAND in found:  # an operator numbers all packets together
+        found[BY_HAND].window = found[OPERATOR].window
+    return found
 
 
 class Inbox:
@@ -155,8 +160,9 @@ class Inbox:
         window = self.marks[packet.link] if stream is None else stream.window
         begun, newest = window.epoch, window.newest
         news = window.admit(packet.epoch, packet.sequence)
-        if stream is not None and window.epoch > begun:
-            self._forget(stream)
+        for one in self.streams.values():
+            if stream is not None and window.epoch > begun and one.window is window:
+                self._forget(one)
         if news != "new":
             self.counters[news] += 1
             return news
@@ -249,10 +255,11 @@ class Inbox:
         """Forget the sequence numbers received on a link, from an operator or the other sender, which starts a new
         epoch.
         """
+        window = Window()
         for (kind, of), stream in self.streams.items():
-            if of == link and ((kind, of) == OPERATOR) == by_operator:
+            if of == link and ((kind, of) in (OPERATOR, BY_HAND)) == by_operator:
                 self._forget(stream)
-                stream.window, stream.missing = Window(), 0
+                stream.window, stream.missing = window if by_operator else Window(), 0
         if link in self.marks and not by_operator:
             self.marks[link], self.marked[link] = Window(), -1
 
@@ -274,8 +281,6 @@ class Inbox:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Restore a saved state of the inbox."""
         for name, stream in self.streams.items():
-            if name == OPERATOR and " ".join(name) not in saved["channels"]:
-                continue  # of an earlier release, which had no operators
             kept = saved["channels"][" ".join(name)]
             stream.window.restore(kept["window"])
             stream.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}

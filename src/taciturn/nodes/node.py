@@ -22,11 +22,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from math import isfinite
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
-from taciturn._arrays import count, instance
+from taciturn._arrays import ArrayLike, array, count, instance
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, place_of
@@ -36,13 +37,14 @@ from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.nodes.packet import Packet
 from taciturn.program.draws import seed_generators
+from taciturn.program.manual import not_operable
 from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
 _SEAL = "digest"
 _CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
-FORMAT = 5  # format version of a saved state
+FORMAT = 6  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
 Measurement: TypeAlias = tuple[float | None, ...]  # None in place of an output whose sample is missing
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
@@ -208,6 +210,44 @@ class Node:
             return None
         given = tuple(self._inputs[one.at + 1 : one.at + 1 + one.size])
         return SetPoints(given, given if self._limited is None else self._limited)
+
+    @property
+    def manual(self) -> Values | None:
+        """Inputs of the plant, (m,), that a controller commands in place of its own while operation is manual; None if
+        it is automatic.
+
+        They are in the units of the plant, and remain until others are assigned or arrive. The filter and the integrals
+        of the controller follow them. The node is degraded, because its decisions are not those of the theory.
+
+        Raises:
+            ProblemError: the node is no controller, the policy cannot be operated by hand, or the inputs are not m
+                finite numbers.
+        """
+        at = self._layout.manual
+        if at is None or self._inputs[at] <= 0.0:
+            return None
+        return tuple(self._inputs[at + 1 : at + 1 + self.policy.model.inputs])
+
+    @manual.setter
+    def manual(self, values: Sequence[float] | None) -> None:
+        """Set the manual inputs, or None for automatic operation."""
+        at = self._layout.manual
+        if at is None and values is not None:
+            if self.policy.network.controller not in self.program.site:
+                raise ProblemError(
+                    f"a manual input is given to the node {self.role}; expected the node of the controller, "
+                    f"{self.policy.network.controller}"
+                )
+            raise not_operable(self.policy)
+        if at is not None:
+            self._inputs[at] = float(values is not None)
+        if at is not None and values is not None:
+            self._inputs[at + 1 : at + 1 + self.policy.model.inputs] = by_hand(self.policy, values)
+
+    @property
+    def operable(self) -> bool:
+        """True if an operator may give the inputs in place of this node."""
+        return self._layout.manual is not None
 
     @property
     def remembers(self) -> int:
@@ -384,6 +424,8 @@ class Node:
         self._mind_silence(known)
         inputs[: len(y)] = y
         sent += self._collect(0, tick)
+        if self.manual is not None:
+            self._degrade("manual")
         if self._draw is not None:
             self._generator, drawn = self._draw(self._generator, ())
             inputs[layout.drawn] = drawn if draws is None else draws
@@ -488,6 +530,18 @@ def _compile(policy: Policy, role: str, network: Network) -> _Compiled:
         None if program.draws is None else compile_python(program.draws),
         tuple(tuple(place.table.tolist()) for place in program.clocks),
     )
+
+
+def by_hand(policy: Policy, values: object) -> list[float]:
+    """Return manual inputs as a list of numbers."""
+    m = policy.model.inputs
+    found = array("manual", cast("ArrayLike", values), (m,), "(inputs,)").tolist()
+    if not fits(found):
+        raise ProblemError(
+            f"the manual input is {found}; expected {number_of(m, 'finite number')} of at most {LARGEST:.2g} in "
+            "magnitude"
+        )
+    return found
 
 
 def _safe_input(safe: Safe, inputs: int) -> Values | None:

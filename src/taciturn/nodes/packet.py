@@ -66,7 +66,8 @@ class Packet(NamedTuple):
     Args:
         kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
             ``"answer"`` (proof that its sender is running); between plant and nodes, ``"measurement"`` or ``"input"``;
-            between an operator and the controller, ``"setpoint"`` or ``"report"``.
+            between an operator and the controller, ``"setpoint"``, ``"report"``, ``"manual"`` or
+            ``"mode"``.
         link: name of the link, or ``"plant"`` (``"plant/NODE"`` if several nodes measure or apply inputs).
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.

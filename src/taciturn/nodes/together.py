@@ -27,7 +27,7 @@ from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.silence import Life, lives_of
 from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
-from taciturn.nodes.node import Values
+from taciturn.nodes.node import Values, by_hand
 from taciturn.program.all_nodes import (
     HELD,
     TOLD,
@@ -40,6 +40,7 @@ from taciturn.program.all_nodes import (
 )
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
+from taciturn.program.manual import BY_HAND, MANUAL, not_operable, operation_of
 from taciturn.program.missing import known_of, predicted_outputs, sensed_by
 from taciturn.program.ops import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
@@ -83,7 +84,7 @@ class Nodes:
         set_points: set-points in effect in the last step, (z,), within their range and ramp.
         silence: what the silence of each node that decides has cost since the start (``Life``), if the policy has a
             bound on every path. It contains neither the effect of applied inputs that differ from the commands, nor
-            that of outputs that were not measured.
+            that of manual inputs and of outputs that were not measured.
 
     Raises:
         InformationError: a node uses a value that is not available to it over the network.
@@ -132,6 +133,8 @@ class Nodes:
         self._changed = {copy.signal: len(copy.effect) for copy in self._copies}
         told = {TOLD: 1} if self._changed else {}
         taken |= told | {change_of(signal): size for signal, size in self._changed.items()}
+        self._operable = operation_of(self.policy) is not None
+        taken |= {MANUAL: 1, BY_HAND: model.inputs} if self._operable else {}
         self.turns = StepFunction(translate_policy(begun, self.network, Informed), taken, self.network, seed)
         self.reset()
 
@@ -153,6 +156,7 @@ class Nodes:
         reference: ArrayLike | None = None,
         applied: ArrayLike | None = None,
         fates: Mapping[str, bool] | None = None,
+        manual: ArrayLike | None = None,
     ) -> Array:
         """Execute one step. The dictionaries ``sent`` and ``arrived`` then show which links sent and which packets
         arrived.
@@ -167,6 +171,10 @@ class Nodes:
                 place of their copy; default: the input that was returned.
             fates: whether the packet of this step arrives, by link, if one is sent; packets of other links are dropped
                 at random, as the network states.
+            manual: input that the controller commands in this step in place of its own, (m,), in the units of the
+                plant and within its limits; None: automatic. A packet is sent if the actuator holds another input. The
+                filter follows the input, and so do the integrals of a given controller: for an unchanged error, its
+                next command is this input.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
@@ -182,6 +190,7 @@ class Nodes:
         points = self.reference if reference is None else self._followed(reference)
         changes = self._changes(None if applied is None else _checked("applied", applied, self.policy.model.inputs))
         inputs = [*y, *points, *self._told(fates or {}), *(known[index] for index in self._order), *changes]
+        inputs += self._by_hand(manual)
         memory, values = self.turns.turn(self.tick, self._memory, inputs)
         if not (np.isfinite(memory).all() and fits(_values(values, self.turns.outputs.items(), APPLIED))):
             raise ProblemError(
@@ -218,6 +227,14 @@ class Nodes:
                 changes[copy.signal] += copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
         told = [] if not changes else [float(applied is not None)]
         return told + [one for change in changes.values() for one in change.tolist()]
+
+    def _by_hand(self, manual: ArrayLike | None) -> list[float]:
+        """Return 1 and the manual input, or zeros if the step is automatic."""
+        if manual is None:
+            return [0.0] * (1 + self.policy.model.inputs) if self._operable else []
+        if not self._operable:
+            raise not_operable(self.policy)
+        return [1.0, *by_hand(self.policy, manual)]
 
     def _completed(self, measurement: object) -> tuple[list[float], list[float]]:
         """Return the outputs, with 0 in place of those that are not measured, and 1 for each that is measured, or 0."""
@@ -417,7 +434,7 @@ def _command(policy: Policy, network: Network, measured: bool = False) -> Array 
     if program is None:
         return None
     given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}
-    given[Entry(TOLD, 0)] = 0.0
+    given |= {Entry(TOLD, 0): 0.0, Entry(MANUAL, 0): 0.0}
     outputs = range(policy.model.sensed)
     given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
     given |= {Entry("y", i): 0.0 for i in outputs}

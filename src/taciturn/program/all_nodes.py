@@ -6,8 +6,8 @@ link. ``taciturn.loop`` walks through the same steps (``begin_time_step``, ``mea
 of the plant.
 
 A program for real plants is informed of more (``Informed``): which outputs are missing (``program.missing``), which
-input was really applied, and what becomes of a packet. ``translate_command`` stops at the command of the
-controller.
+input was really applied, what becomes of a packet, and which inputs an operator gives (``program.manual``).
+``translate_command`` stops at the command of the controller.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import ONE, Assign, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
+from taciturn.program.manual import OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of, sensed_by
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
@@ -112,11 +113,12 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
     if isinstance(tick, Informed):
         tick.correct({copy.signal for copy in copies_of_inputs(policy)})
         known = tick.informed(policy)
+        tick.operate(operation_of(policy))
     measure(tick, policy, y, known)
     return tick
 
 
-class Informed(TimeStep):
+class Informed(OperatedStep):
     """A time step for real plants: measurements may be missing, and the applied inputs and fates of packets given."""
 
     # Inputs of the program besides those of ``translate_policy``: for each measured signal ``known_of``, 1 or 0 for an

@@ -11,7 +11,7 @@ steps read a packet before it is sent or all after it, and no two places wait fo
 ``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
 
     inputs:  measurement | 1 for each entry, or 0 if it is missing | step counters | for each link: arrived, payload
-             | acknowledgements | set-points | draws
+             | acknowledgements | set-points | manual operation: 1 or 0, the manual inputs | draws
     outputs: for each link: sent, payload | input of the plant | values of the options of triggers
 """
 
@@ -43,9 +43,10 @@ from taciturn.model.steps import (
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
+from taciturn.program.manual import BY_HAND, MANUAL, OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of, sensed_by
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
-from taciturn.program.translation import APPLIED, Operands, Payloads, TimeStep, encode_payloads, first_input
+from taciturn.program.translation import APPLIED, Operands, Payloads, encode_payloads, first_input
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
 _FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
@@ -68,6 +69,7 @@ class NodeProgram:
     lag: Mapping[str, int]  # for each of these links, the age in steps of the packet that the time step reads
     late: frozenset[str]  # links whose packets the second part reads
     acknowledged: tuple[str, ...]  # links whose acknowledgements the second part reads
+    manual: bool  # whether an operator may give the inputs in place of a controller at the site
     sends: Mapping[str, tuple[str, ...]]  # for each link that begins at the site, the signals of its packet
 
 
@@ -82,11 +84,13 @@ def translate_node(
     own = [step for step in policy.steps if step.at in site]
     payloads = encode_payloads(policy, network)
     applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
-    walked = list[_Part]()
+    walked, operation = list[_Part](), operation_of(policy)
     for part in _parts(policy, site, own, applied.keys()):
         walked.append(_Part(policy, payloads, walked[0].drawn if walked else 0, precision))
         if len(walked) == 1:
             walked[0].measure(policy, site)
+        if policy.network.controller in site:
+            walked[-1].operate(operation, begins=len(walked) == 1)
         for step in part:
             walked[-1].take(step)
     limits, first = policy.model.saturation, walked[0]
@@ -123,6 +127,7 @@ def translate_node(
         lag={link: _age(policy, link) + (link in late) for link in hears},
         late=late,
         acknowledged=tuple(link for link in sends if Acknowledged(link) in read),
+        manual=operation is not None and policy.network.controller in site,
         sends={step.link: step.payload for step in own if isinstance(step, Send)},
     )
 
@@ -176,12 +181,12 @@ def _with_states(
     return rebuild(program, lambda builder, op: None, [builder.states.index(state) for state in states])
 
 
-class _Part(TimeStep):
+class _Part(OperatedStep):
     """A part of the time step of one site: measurements, packets and step counters are inputs."""
 
     def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
-        counts |= {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
+        counts |= {MANUAL: 1} | {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
         start = first_input(policy, policy.model)
         initial = {_applied(signal): start[[*inputs]] for signal, (_, inputs) in policy.applied.items()}
         held = held_samples(policy)
@@ -308,8 +313,8 @@ class Arrival(NamedTuple):
     """Packets or acknowledgements that a node receives on one link, and where they are among the program's inputs."""
 
     # ``"data"``, ``"acknowledgement"``; or for set-points, of which the last are kept, ``"measurement"`` from a plant
-    # and ``"setpoint"`` from an operator, in the same place
-    kind: Literal["data", "acknowledgement", "measurement", "setpoint"]
+    # and ``"setpoint"`` from an operator, in the same place; ``"manual"``: 1 or 0, and manual inputs of an operator
+    kind: Literal["data", "acknowledgement", "measurement", "setpoint", "manual"]
     link: str  # link on which they arrive
     lag: int  # number of steps between the sending of a packet and the step that reads it
     at: int  # position of the flag "arrived" among the inputs; the payload is after it
@@ -337,6 +342,8 @@ class Layout:
     wiring: tuple[tuple[int, ...], ...]  # for each part of the step, the positions of its inputs among all inputs
     clocks: int  # position of the first step counter among the inputs
     drawn: slice  # positions of the random numbers among the inputs
+    # position of the flag "manual" among the inputs, before the manual inputs of the plant; None without a controller
+    manual: int | None
     arrivals: tuple[Arrival, ...]  # the packets that the node reads
     departures: tuple[Departure, ...]  # the packets that the node sends
     applied: slice | None  # positions of the plant's input among the outputs; None if the node does not apply it
@@ -367,6 +374,12 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         arrivals.append(Arrival("measurement", SETPOINT, 0, len(names), len(given), 0, False))
         arrivals.append(arrivals[-1]._replace(kind="setpoint"))
         names += [Received(SETPOINT), *given]
+    manual = len(names) + 1 if program.manual else None
+    if program.manual:
+        by_hand = [Entry(MANUAL, 0), *(Entry(BY_HAND, i) for i in range(policy.model.inputs))]
+        if arrivals and arrivals[-1].kind == "setpoint":
+            arrivals.append(Arrival("manual", SETPOINT, 0, len(names), len(by_hand), 0, False))
+        names += [Received(MANUAL), *by_hand]
     drawn = slice(len(names), len(names) + (0 if program.draws is None else len(program.draws.outputs)))
     names += [Entry(UNIFORM, i) for i in range(drawn.stop - drawn.start)]
     places = {name: i for i, name in enumerate(names)}
@@ -380,6 +393,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         wiring=tuple(tuple(places[name] for name in part.inputs) for part in program.parts),
         clocks=clocks,
         drawn=drawn,
+        manual=manual,
         arrivals=tuple(arrivals),
         departures=tuple(
             Departure(link, outputs[Sent(link)], sum(sizes[name] for name in payload))

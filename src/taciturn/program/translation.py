@@ -312,7 +312,7 @@ class TimeStep:
     def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
         """Return, for each label except the last, whether the trigger selects it, given the values of its forms."""
         b, limit, found = self.builder, trigger.limit, list[Truth]()
-        allowed = [self._none_positive(trigger.excluded.get(label, ())) for label in trigger.labels]
+        allowed = [self.allowed(trigger, label) for label in trigger.labels]
         within = [] if limit is None else [b.less_equal(value, limit) for value in values[:-1]]
         for i, value in enumerate(values[:-1]):
             truth = allowed[i]
@@ -325,6 +325,10 @@ class TimeStep:
                 truth = b.both(truth, b.negated(earlier))
             found.append(truth)
         return found
+
+    def allowed(self, trigger: Trigger, label: str) -> Truth:
+        """Return whether no form excludes a label."""
+        return self._none_positive(trigger.excluded.get(label, ()))
 
     def _none_positive(self, forms: Sequence[Form]) -> Truth:
         truth: Truth = True

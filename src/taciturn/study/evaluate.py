@@ -201,6 +201,7 @@ def _evaluated(
     notes += [f"no cost of every sample: {base.why}"] if base.why else []
     found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
     every, excess = base.compared(found)
+    told_by_theory = loop.nominal and base.loop is None
     better = dict[str, Estimate]()
     if every is not None and costs_less(excess):
         with _part("better baseline", notes):
@@ -277,8 +278,8 @@ def _evaluated(
         certificate=_certificate(loop, found),
         guarantee_shares={} if guarantee is None else _guarantee_shares(loop, guarantee, found),
         cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
-        baseline=None if loop.nominal else every,
-        paired=None if loop.nominal else excess,
+        baseline=None if told_by_theory else every,
+        paired=None if told_by_theory else excess,
         better=better,
     )
 

@@ -572,7 +572,7 @@ class Evaluation(Tabular):
         """Cost of the same loop that sends every sample, with its limits, losses and rounding: exact where a theorem
         gives it, else simulated on the same random numbers; None if there is no such average.
         """
-        return self.baseline if self.cost_all_time is None else _known(self.cost_all_time)
+        return self.baseline if self.baseline or self.cost_all_time is None else _known(self.cost_all_time)
 
     @property
     def excess(self) -> Estimate | None:

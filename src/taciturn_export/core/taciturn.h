@@ -24,6 +24,8 @@
 #define tac_set_keys TAC_SIZED(tac_set_keys)
 #define tac_setpoint TAC_SIZED(tac_setpoint)
 #define tac_setpoints TAC_SIZED(tac_setpoints)
+#define tac_manual TAC_SIZED(tac_manual)
+#define tac_is_manual TAC_SIZED(tac_is_manual)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
@@ -65,7 +67,7 @@ typedef struct {
 } tac_channel_data;
 
 #define TAC_NO_MARKS UINT32_MAX
-#define TAC_FORMAT 4U /* version of the generated data and of saved states */
+#define TAC_FORMAT 5U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -107,6 +109,7 @@ typedef struct {
   uint16_t clocks_at;         /* index of the counters among the inputs of a step */
   uint16_t drawn_at;
   uint16_t drawn_count;
+  uint16_t manual;            /* index of 1 or 0, before the manual inputs, among the inputs; 0: always automatic */
   int16_t applied;            /* index of the plant input among the outputs; -1: no actuator */
   int16_t limited;            /* index of the set-points in effect among the outputs; -1: they are not limited */
   uint8_t measurement_count;  /* first inputs of a step, then as many that are 1, or 0 if missing; 0: no sensor */
@@ -114,6 +117,7 @@ typedef struct {
   uint8_t channel_count;
   uint8_t send_count;
   uint8_t clock_count;
+  uint8_t manual_count;       /* inputs of the plant */
   bool lossless;              /* whether the theory assumes that every packet arrives */
 } tac_node_data;
 
@@ -207,6 +211,7 @@ typedef struct {
   bool unheard; /* whether tac_expire was called after the last packet */
   bool asked;   /* whether an operator has sent a packet since the last step */
   bool reports; /* whether a report to the operator is to be sent */
+  bool modes;   /* whether he is to be told the mode of operation */
 } tac_node;
 
 /* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
@@ -267,6 +272,15 @@ bool tac_setpoint(tac_node *node, const tac_real *values);
 /* Write the set-points that were in effect in the last step, within their range and ramp. Return false, without effect,
  * if the node is given none. */
 bool tac_setpoints(const tac_node *node, tac_real *values);
+
+/* From the next step on, let a controller command `values`, one for each input of the plant, in its units, in place of
+ * its own command; NULL: automatic, as after tac_start. The filter and the integrals of the controller follow them, and
+ * the node is degraded. They remain until others are set or arrive, and are part of the saved state. Return false,
+ * without effect, if they exceed FLT_MAX, or the node is no controller that can be operated by hand. */
+bool tac_manual(tac_node *node, const tac_real *values);
+
+/* Return the manual inputs, or NULL if the operation is automatic. */
+const tac_real *tac_is_manual(const tac_node *node);
 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
  * 10000 missed steps, the earlier ones are skipped, as on a host. */

@@ -160,7 +160,12 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   return true;
 }
 
-void tac_forget(tac_node *node, unsigned i) {
+/* Return the channel whose window counts the packets of channel `i`: an operator numbers all his packets together. */
+static unsigned numbered_by(const tac_node_data *data, unsigned i) {
+  return (data->channels[i].kind == (uint8_t)TAC_MANUAL) ? tac_operator(data) : i;
+}
+
+static void forget(tac_node *node, unsigned i) {
   tac_channel *channel = &node->channels[i];
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     node->counters.superseded += channel->waits[place] ? 1U : 0U;
@@ -169,34 +174,46 @@ void tac_forget(tac_node *node, unsigned i) {
   channel->has_behind = false;
 }
 
+void tac_forget_numbered(tac_node *node, unsigned i) {
+  for (unsigned k = 0U; k < node->data->channel_count; k++) {
+    if (numbered_by(node->data, k) == i) {
+      forget(node, k);
+    }
+  }
+}
+
 /* Store and count a packet, and return whether it is new and not far too early. */
 static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
+  bool known = packet->loop == node->loop && i < node->data->channel_count;
+  unsigned number = known ? numbered_by(node->data, i) : i;
+  bool operated = packet->kind == (uint8_t)TAC_SETPOINT || packet->kind == (uint8_t)TAC_MANUAL;
   tac_channel *channel;
+  tac_window *window;
   tac_window before;
   bool kept = false;
   news found;
-  if (packet->loop == node->loop && i < node->data->channel_count && !tac_is_admitted(node, i, packet)) {
+  if (known && !tac_is_admitted(node, number, packet)) {
     return false;
   }
   node->counters.received++;
-  if (packet->loop != node->loop || i == node->data->channel_count) {
+  if (!known) {
     node->counters.misdirected++;
     return false;
   }
   channel = &node->channels[i];
-  before = channel->window;
-  node->asked = node->asked || packet->kind == (uint8_t)TAC_SETPOINT;
-  if (packet->kind != (uint8_t)TAC_MARK && channel->window.begun && packet->epoch > channel->window.epoch) {
-    tac_forget(node, i);
+  window = &node->channels[number].window;
+  before = *window;
+  node->asked = node->asked || operated;
+  if (packet->kind != (uint8_t)TAC_MARK && window->begun && packet->epoch > window->epoch) {
+    tac_forget_numbered(node, number);
   }
-  found = admit((packet->kind == (uint8_t)TAC_MARK) ? &channel->marks : &channel->window, packet->epoch,
-                packet->sequence);
+  found = admit((packet->kind == (uint8_t)TAC_MARK) ? &channel->marks : window, packet->epoch, packet->sequence);
   if (found == REPLAYED) {
     node->counters.replayed++;
   } else if (found == DUPLICATE) {
     node->counters.duplicate++;
-  } else if (packet->kind == (uint8_t)TAC_SETPOINT) {
+  } else if (operated) {
     kept = sort_by_number(node, i, packet, &before);
   } else {
     bool timed = packet->kind != (uint8_t)TAC_MEASUREMENT; /* the sender of set-points need not know the step */
@@ -223,7 +240,8 @@ bool tac_ready(const tac_node *node) {
     unsigned place = (unsigned)(tick % (uint64_t)TAC_WAITING);
     if (node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT) {
       ready = channel->waits[place] && channel->waiting[place].tick == tick;
-    } else if (node->data->channels[i].kind == (uint8_t)TAC_SETPOINT) {
+    } else if (node->data->channels[i].kind == (uint8_t)TAC_SETPOINT ||
+               node->data->channels[i].kind == (uint8_t)TAC_MANUAL) {
       /* an operator need not send any */
     } else {
       ready = channel->marked + node->data->channels[i].lag > tick;
@@ -295,7 +313,8 @@ static void put_inputs(const tac_channel_data *data, const tac_packet *packet, t
 /* Return whether other set-points than those of a channel have no effect, because an operator has given some. */
 static bool is_overruled(const tac_node *node, unsigned i) {
   unsigned own = tac_operator(node->data);
-  return own < node->data->channel_count && i != own && node->channels[own].newest > 0U;
+  bool simulated = node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT;
+  return own < node->data->channel_count && simulated && node->channels[own].newest > 0U;
 }
 
 /* Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain. */
@@ -327,7 +346,8 @@ void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
   uint32_t missing = count_missing(&channel->window);
-  if (data->kind == (uint8_t)TAC_MEASUREMENT || data->kind == (uint8_t)TAC_SETPOINT) {
+  if (data->kind == (uint8_t)TAC_MEASUREMENT || data->kind == (uint8_t)TAC_SETPOINT ||
+      data->kind == (uint8_t)TAC_MANUAL) {
     collect_kept(node, i, tick);
     return;
   }

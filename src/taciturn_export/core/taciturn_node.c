@@ -196,6 +196,9 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   mind_silence(node);
   measure(node, measurement);
   collect_all(node, 0U, tick);
+  if (tac_is_manual(node) != NULL) {
+    tac_degrade(node, tac_count_ticks(node));
+  }
   if (data->draw != NULL) {
     data->draw(node->generator, &node->inputs[data->drawn_at]);
     if (drawn != NULL) {
@@ -292,6 +295,28 @@ bool tac_setpoints(const tac_node *node, tac_real *values) {
   return true;
 }
 
+bool tac_manual(tac_node *node, const tac_real *values) {
+  const tac_node_data *data = node->data;
+  if (data->manual == 0U || (values != NULL && !tac_fits(values, data->manual_count))) {
+    return false;
+  }
+  node->inputs[data->manual] = (tac_real)((values != NULL) ? 1 : 0);
+  if (values != NULL) {
+    copy(&node->inputs[data->manual + 1U], values, data->manual_count);
+  }
+  return true;
+}
+
+const tac_real *tac_is_manual(const tac_node *node) {
+  bool manual = node->data->manual > 0U && node->inputs[node->data->manual] > (tac_real)0;
+  return manual ? &node->inputs[node->data->manual + 1U] : NULL;
+}
+
+void tac_report(tac_node *node) {
+  node->reports = true;
+  node->modes = node->data->manual > 0U;
+}
+
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
   if (tick == UINT64_MAX || !is_measurement(node->data, measurement)) {
     return false;
@@ -305,7 +330,9 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
     return false;
   }
   advance(node, tick, measurement, drawn);
-  node->reports = node->reports || node->asked;
+  if (node->asked) {
+    tac_report(node);
+  }
   node->asked = false;
   return true;
 }
@@ -365,6 +392,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->unheard = false;
   node->asked = false;
   node->reports = false;
+  node->modes = false;
   node->newest = 0U;
   node->dated = 0U;
   node->degraded_until = 0U;

@@ -80,10 +80,17 @@ static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
   return hand_out(node, &packet, &marks->sequence, datagram);
 }
 
+/* Write the next step and the newest packet of an operator, on channel `i`, into a packet for him. */
+static void describe_newest(const tac_node *node, unsigned i, tac_packet *packet) {
+  const tac_window *window = &node->channels[i].window;
+  packet->tick = tac_count_ticks(node);
+  packet->epoch = window->begun ? window->epoch : 0U;
+  packet->sequence = window->begun ? window->newest : 0U;
+}
+
 /* Report to an operator: the set-points received and in effect, his newest packet, and the next step. */
 static size_t report(tac_node *node, uint8_t *datagram) {
   unsigned i = tac_operator(node->data);
-  const tac_window *window = &node->channels[i].window;
   uint8_t count = tac_set_point_count(node->data);
   tac_packet packet;
   (void)memset(&packet, 0, sizeof packet);
@@ -91,9 +98,7 @@ static size_t report(tac_node *node, uint8_t *datagram) {
   packet.link = node->data->channels[i].link;
   packet.loop = node->loop;
   packet.entries = (uint8_t)(2U * count);
-  packet.tick = tac_count_ticks(node);
-  packet.epoch = window->begun ? window->epoch : 0U;
-  packet.sequence = window->begun ? window->newest : 0U;
+  describe_newest(node, i, &packet);
   for (unsigned k = 0U; k < count; k++) {
     packet.values[k] = node->inputs[node->data->channels[i].at + 1U + k];
   }
@@ -102,8 +107,29 @@ static size_t report(tac_node *node, uint8_t *datagram) {
   return tac_encode(&node->data->wire, node->keys[packet.link][0], &packet, datagram);
 }
 
+/* Tell an operator whether the operation is manual, and the manual inputs. */
+static size_t tell_mode(tac_node *node, uint8_t *datagram) {
+  unsigned i = tac_operator(node->data);
+  uint8_t count = node->data->manual_count;
+  tac_packet packet;
+  (void)memset(&packet, 0, sizeof packet);
+  packet.kind = (uint8_t)TAC_MODE;
+  packet.link = node->data->channels[i].link;
+  packet.loop = node->loop;
+  packet.entries = (uint8_t)(count + 1U);
+  describe_newest(node, i, &packet);
+  for (unsigned k = 0U; k <= count; k++) {
+    packet.values[k] = node->inputs[node->data->manual + k];
+  }
+  node->modes = false;
+  return tac_encode(&node->data->wire, node->keys[packet.link][0], &packet, datagram);
+}
+
 size_t tac_send(tac_node *node, uint8_t *datagram) {
   size_t size = tac_send_proof(node, datagram);
+  if (size == 0U && node->modes) {
+    size = tell_mode(node, datagram);
+  }
   if (size == 0U && node->reports) {
     size = report(node, datagram);
   }

@@ -168,7 +168,8 @@ static bool has_both(uint8_t kind) {
 
 /* Return whether packets of a kind that only one end sends travel against the link. */
 static bool is_backward(uint8_t kind) {
-  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT || kind == (uint8_t)TAC_REPORT;
+  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT || kind == (uint8_t)TAC_REPORT ||
+         kind == (uint8_t)TAC_MODE;
 }
 
 /* Return the link on which an operator gives set-points, or ANY_LINK if there is none. */

@@ -41,7 +41,7 @@ typedef double tac_real;
 #endif
 
 enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER, TAC_SETPOINT,
-       TAC_REPORT };
+       TAC_REPORT, TAC_MANUAL, TAC_MODE };
 enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links of three nodes */
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
@@ -58,7 +58,8 @@ typedef struct {
   uint8_t entries;
   bool back; /* whether a mark, a challenge or an answer travels against the link; other kinds have one direction */
   tac_real values[TAC_VALUES];
-} tac_packet; /* an operator gives a controller set-points as TAC_SETPOINT, and receives a TAC_REPORT */
+} tac_packet; /* an operator gives a controller set-points as TAC_SETPOINT and manual inputs as TAC_MANUAL, which tells
+               * him the set-points in effect as TAC_REPORT and the manual inputs as TAC_MODE */
 
 /* The payload format of packets of one kind on one link. With int16, a value is an integer multiple of a step size:
  * `per_unit` and `per_step` contain steps per unit and units per step of each entry. Otherwise they are NULL. */

@@ -14,7 +14,8 @@
 #define tac_is_nan TAC_SIZED(tac_is_nan)
 #define tac_collect TAC_SIZED(tac_collect)
 #define tac_write_tag TAC_SIZED(tac_write_tag)
-#define tac_forget TAC_SIZED(tac_forget)
+#define tac_forget_numbered TAC_SIZED(tac_forget_numbered)
+#define tac_report TAC_SIZED(tac_report)
 #define tac_draw TAC_SIZED(tac_draw)
 #define tac_is_admitted TAC_SIZED(tac_is_admitted)
 #define tac_take_proof TAC_SIZED(tac_take_proof)
@@ -51,8 +52,12 @@ void tac_write_tag(tac_key key, const uint8_t *content, size_t size, uint8_t *ta
 /* Return 64 bits of the keyed hash of a content, which nobody without the key can predict. */
 uint64_t tac_draw(tac_key key, const uint8_t *content, size_t size);
 
-/* Drop the early packets of a sender that has started again: they are older than all that it sends now. */
-void tac_forget(tac_node *node, unsigned i);
+/* Drop the early packets of a sender that has started again, also of all kinds that it numbers together: they are older
+ * than all that it sends now. */
+void tac_forget_numbered(tac_node *node, unsigned i);
+
+/* Let the node report to an operator. */
+void tac_report(tac_node *node);
 
 /* Return whether the sender of a packet of channel `i` has proven that it is running; if not, challenge it. */
 bool tac_is_admitted(tac_node *node, unsigned i, const tac_packet *packet);

@@ -48,7 +48,7 @@ static void accept_answer(tac_node *node, unsigned i, const tac_packet *packet) 
     return;
   }
   if (!channel->has_proof || packet->epoch != channel->proven) {
-    tac_forget(node, i);
+    tac_forget_numbered(node, i);
     (void)memset(&channel->window, 0, sizeof channel->window);
     (void)memset(&channel->marks, 0, sizeof channel->marks);
     channel->missing = 0U;
@@ -70,7 +70,7 @@ static bool greet(tac_node *node, const tac_packet *packet) {
   }
   node->proofs[packet->link].nonce = packet->nonce;
   node->proofs[packet->link].answers = true;
-  node->reports = true;
+  tac_report(node);
   return true;
 }
 

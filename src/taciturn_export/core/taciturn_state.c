@@ -61,19 +61,20 @@ static void add_clocks(uint32_t *sum, const tac_node_data *data) {
 }
 
 bool tac_check(const tac_node_data *data) {
-  const uint16_t sizes[8] = {data->input_count, data->memory_count, data->output_count,      data->clocks_at,
-                             data->drawn_at,    data->drawn_count,  (uint16_t)data->applied, (uint16_t)data->limited};
-  const uint8_t counts[6] = {data->measurement_count, data->applied_count, data->channel_count,
-                             data->send_count,        data->clock_count,   data->wire.shape_count};
+  const uint16_t sizes[9] = {data->input_count, data->memory_count, data->output_count,
+                             data->clocks_at,   data->drawn_at,     data->drawn_count,
+                             data->manual,      (uint16_t)data->applied, (uint16_t)data->limited};
+  const uint8_t counts[7] = {data->measurement_count, data->applied_count, data->channel_count,     data->send_count,
+                             data->clock_count,       data->manual_count,  data->wire.shape_count};
   uint32_t sum = 0U;
   if (data->format != TAC_FORMAT) {
     return false;
   }
   add(&sum, data->format, 4U);
-  for (unsigned i = 0U; i < 8U; i++) {
+  for (unsigned i = 0U; i < 9U; i++) {
     add(&sum, sizes[i], 2U);
   }
-  for (unsigned i = 0U; i < 6U; i++) {
+  for (unsigned i = 0U; i < 7U; i++) {
     add(&sum, counts[i], 1U);
   }
   add(&sum, data->lossless ? 1U : 0U, 1U);
