@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import threading
 import time
@@ -214,7 +215,7 @@ def test_a_tank_with_an_operator_a_load_and_missing_samples_is_the_same_in_c() -
             continue
         tick, y, sent = one
         told = device.step(tick, None if y is None else list(y))
-        assert tuple(packet for packet in told.packets if packet.kind != "report") == sent, tick
+        assert tuple(packet for packet in told.packets if packet.kind not in ("report", "mode")) == sent, tick
         effects.update(device.memory[IN_EFFECT])
     assert device.memory == node.memory
     assert node.counters["missing"] == device.counters["missing"] > 10
@@ -296,3 +297,47 @@ def test_the_command_reads_lines_and_ignores_bad_ones() -> None:
     nobody = runner.invoke(app, ["setpoint", f"{host}:{port}", "--value", "0", "--wait", "0.3"])
     assert nobody.exit_code != 0
     assert server.report()["set_points"] == [{"loop": 0, "given": [0.0], "in_effect": [0.0]}]
+
+
+def test_a_restored_node_tells_the_set_points_in_effect() -> None:
+    """Before its next step, in Python and in C, on the ramp and with a range alone."""
+    for changes in ({}, {"reference.ramp": None}):
+        policy = tank(**changes).design()
+        node, again = Node(policy, "controller"), Node(policy, "controller")
+        first, second = (
+            DeviceNode(
+                DeviceCode(policy, "controller", policy.network), policy, "controller",
+                network=policy.network, epoch=1, seed=0, watchdog=None, safe="hold",
+            )
+            for _ in range(2)
+        )  # fmt: skip
+        node.sort_in(operated(0, 9.0))
+        first.receive(Wire(policy).encode(operated(0, 9.0)))
+        for tick in range(3):
+            node.step(tick, [0.0])
+            first.step(tick, [0.0])
+        again.restore(json.loads(json.dumps(node.save())))
+        second.restore(first.save())
+        assert again.set_points == node.set_points
+        told = ctypes.c_double()
+        assert second._code.tac_setpoints(second._self, ctypes.byref(told))
+        assert node.set_points is not None
+        assert (told.value,) == node.set_points.in_effect
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"tick": 1.5}, "tick is 1.5; expected a whole number"),
+        ({"tick": 2**64}, r"tick is .*; expected a whole number below 2\^64"),
+        ({"measurement": b"7"}, "the measurement of the controller is b'7'"),
+        ({"measurement": [10**400]}, "the measurement of the controller"),
+        ({"packets": [1]}, "packets"),
+    ],
+)
+def test_a_step_that_cannot_be_is_refused_in_a_sentence(given: dict[str, Any], words: str) -> None:
+    """And the node is as before."""
+    node = Node(tank().design(), "controller")
+    with pytest.raises(ProblemError, match=words):
+        node.step(**{"tick": 0, "measurement": [0.0], **given})
+    assert node.tick == -1

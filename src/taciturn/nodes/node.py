@@ -50,6 +50,14 @@ Measurement: TypeAlias = tuple[float | None, ...]  # None in place of an output 
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
+def _within(name: str, value: object, size: int) -> int:
+    """Return a whole number that a field of so many bytes in a packet can carry."""
+    found = count(name, value, 0)
+    if found >= 256**size:
+        raise ProblemError(f"{name} is {found}; expected a whole number below 2^{8 * size}, which a packet can carry")
+    return found
+
+
 class Stepped(NamedTuple):
     """Output of a node in one step: the packets to send, and the plant input."""
 
@@ -108,7 +116,7 @@ class Node:
         instance("policy", policy, Policy)
         self.policy, self.role = policy, role
         self.network = policy.network if network is None else network
-        self.loop, self.epoch = count("loop", loop, 0), count("epoch", epoch, 0)
+        self.loop, self.epoch = _within("loop", loop, 2), _within("epoch", epoch, 4)
         count("seed", seed, 0)
         compiled = _compile(policy, role, self.network)
         self.fingerprint, self.program, self._layout, self._parts, self._draw, self._tables = compiled
@@ -297,10 +305,13 @@ class Node:
             The packets to send, and the plant input if the node contains the actuator.
 
         Raises:
-            ProblemError: the measurement has the wrong size, or is not finite.
+            ProblemError: the measurement has the wrong size, or is not finite; the number of the step is no whole
+                number that a packet can carry, or ``packets`` contains something else.
         """
+        tick = _within("tick", tick, 8)
         y, known = self._measured(measurement)
         for packet in packets:
+            instance("packets", packet, Packet)
             self.sort_in(packet)
         for link, heard in self._heard_at.items():
             if heard > self.tick:  # packets that arrived after the last step count from this step on
@@ -358,7 +369,7 @@ class Node:
             "inputs": list(self._inputs), "places": list(self._places), "inbox": self.inbox.save(),
             "sequences": dict(self._sequences), "input": list(self._input), "heard_at": dict(self._heard_at),
             "degraded_until": self._degraded_until, "counters": dict(self.counters), "reasons": dict(self.reasons),
-            "sent_at": dict(self._sent_at),
+            "sent_at": dict(self._sent_at), "limited": None if self._limited is None else list(self._limited),
         })  # fmt: skip
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -386,6 +397,7 @@ class Node:
             self._sequences, self._input = Counter(saved["sequences"]), tuple(saved["input"])
             self._heard_at, self._degraded_until = dict(saved["heard_at"]), saved["degraded_until"]
             self._sent_at = dict(saved["sent_at"])
+            self._limited = None if saved["limited"] is None else tuple(saved["limited"])
             for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
                 counter.clear()
                 counter.update(kept)
@@ -404,8 +416,10 @@ class Node:
         try:
             listed = (None,) * size if measurement is None else tuple(measurement)
             found = tuple(0.0 if value is None else float(value) for value in listed)
-        except (TypeError, ValueError):  # such as a text in place of a number
+        except (TypeError, ValueError, OverflowError):  # such as a text in place of a number
             listed = found = ()
+        if isinstance(measurement, str | bytes | set):  # which have other entries, or no order
+            found = ()
         if len(found) != size or not fits(found):
             raise ProblemError(
                 f"the measurement of the {self.role} is {measurement}; expected {size} finite numbers of at most "

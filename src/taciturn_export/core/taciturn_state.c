@@ -236,6 +236,9 @@ static void pass_all(cursor *c, tac_node *node) {
   pass_reals(c, node->memory, data->memory_count);
   pass_reals(c, node->inputs, data->input_count);
   pass_reals(c, node->input, (data->applied < 0) ? 0U : data->applied_count);
+  if (data->limited >= 0) {
+    pass_reals(c, &node->outputs[data->limited], tac_set_point_count(data));
+  }
   for (unsigned i = 0U; i < data->clock_count; i++) {
     pass_half(c, &node->places[i], (uint16_t)(data->clocks[i].size - 1U));
   }
