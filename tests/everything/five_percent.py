@@ -74,8 +74,8 @@ CASES = (
     "tank lqg l", "tank lqg ud", "tank band", "tank band l", "tank event", "motor pid", "motor pid l", "motor pid lb",
     "motor pid uo", "motor lqg", "motor lqg l", "motor lqg a", "motor lqg uo", "mass pid l", "mass pid lu",
     "mass pid o", "mass lqg l", "mass lqg lu", "mass lqg d", "mass lqg t", "rooms pid", "rooms pid l", "rooms pid o",
-    "rooms lqg l", "rooms lqg b", "rooms lqg o", "rooms lqg ld", "oscillator pid l", "oscillator pid t", "oscillator pid lt",
-    "oscillator pid lu", "oscillator pid la", "oscillator lqg lu", "oscillator lqg lt",
+    "rooms lqg l", "rooms lqg b", "rooms lqg o", "rooms lqg ld", "oscillator pid l", "oscillator pid t",
+    "oscillator pid lt", "oscillator pid lu", "oscillator pid la", "oscillator lqg lu", "oscillator lqg lt",
 )  # fmt: skip
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import pytest
-from everything.five_percent import CASES, Found, found
+from everything.five_percent import CASES, Found, drafted, found, write
+
+import taciturn
 
 CHEAP = ("tank lqg", "mass lqg d", "mass lqg t")
 
@@ -23,6 +27,15 @@ def expect_five_percent(one: Found) -> None:
 def test_a_tuned_loop_costs_five_percent_more_than_every_sample_in_a_short_simulation(name: str) -> None:
     """The cheap cases."""
     expect_five_percent(found(name, paths=200, steps=400, settle=150, precision=1e-3))
+
+
+@pytest.mark.parametrize("changes", [{}, {"kind": "distributed"}], ids=["excess", "distributed"])
+def test_a_dropped_packet_does_not_leave_an_input_at_the_wrong_limit(changes: dict[str, Any], tmp_path: Path) -> None:
+    """Otherwise the sender takes it for applied, sends nothing that changes it, and the state grows."""
+    problem = taciturn.load(write(drafted("mass", "lqg", "lu"), tmp_path)).changed(changes)
+    found = taciturn.evaluate(problem, steps=300_000, after_step=False)
+    assert found.excess is not None
+    assert found.excess.value < 0.5
 
 
 @pytest.mark.evidence

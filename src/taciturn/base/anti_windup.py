@@ -13,8 +13,8 @@ input that the plant never received. For a plant with limits, the policy steps o
 - A decision on one link to an actuator that holds its input excludes a packet that would change no input in this step,
   whatever else asks for a packet, except for a heartbeat. Nothing is lost: to each rule belongs another one that sends
   the same value later, when it first changes the input, so it applies the same inputs with no more packets.
-- A sender that never learns of lost packets does not know which input is applied, so both rules do not hold: otherwise
-  it would take a lost packet for the input at a limit, and stay silent however far the state goes.
+- A sender that never learns of dropped packets does not know which input is applied, so it keeps neither of the two
+  rules: it would take a dropped packet for the input at a limit, and stay silent however far the state goes.
 """
 
 from __future__ import annotations

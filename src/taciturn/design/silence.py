@@ -18,7 +18,7 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
   link, links that drop packets with or without acknowledgement, slower bases, totals, and set-points at known times, it
   is the cost without limits, and silence is forbidden while a limit cuts the command. Over the sensor link, a forecast
   in which both choices reach the limit finds silence free, and the controller, which then integrates an old
-  measurement, leaves its place for long. The same happens if a packet is lost and nobody tells the sender.
+  measurement, leaves its place for long. The same happens if a packet is dropped without acknowledgement.
 
 ``relative_to_state`` is LQG with thresholds that grow with the estimate.
 

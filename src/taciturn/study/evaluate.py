@@ -35,6 +35,7 @@ from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
 from taciturn.design.at_fixed_steps import send_at_fixed_steps
+from taciturn.design.silence import WATCH
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.controller import PID, AnyController, ContinuousController, Controller, PIDLoops
@@ -202,6 +203,7 @@ def _evaluated(
     found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
     every, excess = base.compared(found)
     told_by_theory = loop.nominal and base.loop is None
+    notes += alarmed(loop, found)
     better = dict[str, Estimate]()
     if every is not None and costs_less(excess):
         with _part("better baseline", notes):
@@ -282,6 +284,19 @@ def _evaluated(
         paired=None if told_by_theory else excess,
         better=better,
     )
+
+
+def alarmed(loop: Loop, found: Averages) -> list[str]:
+    """Return a note if a load, or another plant, keeps the alarm on innovations on, so that every sample is sent."""
+    other = loop.problem.loads is not None or not loop.nominal
+    always = all(1 - rate.value <= SAME for rate in found.rates.values())
+    if WATCH not in loop.policy.decisions or not other or not always:
+        return []
+    return [
+        "the node sends every sample while measurements differ from what its filter expects, as with a load or a plant "
+        "that the design does not know; expected a disturbance of this size in the design: controller.disturbance = "
+        "{time_constant, deviation}, or for LQG a [[disturbance]] with wander"
+    ]
 
 
 def _certificate(loop: Loop, found: Averages) -> Estimate | None:

@@ -245,6 +245,7 @@ def _policy(
         notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LINKS else TOO_MANY}",)
         if lossy
         else (),
+        unsure=any(network.nodes[link].applies and not network.acknowledges(link) for link in lossy),
     )
 
 
