@@ -89,14 +89,14 @@ def regulator_equations(
 ) -> tuple[Array, Array]:
     """Solve A X + B U + E = X S and C_z X + D_z U + F = 0. If there are several solutions, return the cheapest one."""
     n, m = B.shape
-    moved = closure(B.any(axis=1) | E.any(axis=1), A != 0)
+    moved = closure(np.asarray(B.any(axis=1) | E.any(axis=1)), A != 0)
     if (
         moved.any() and not moved.all()
     ):  # a state that neither inputs nor signals move goes on by itself, so none of it follows them
-        both = np.concatenate([moved, np.ones(m, dtype=np.bool_)])
+        kept = np.flatnonzero([*moved, *[True] * m])
         seen = outputs[:, moved]
         X, U = regulator_equations(
-            A[np.ix_(moved, moved)], B[moved], S, E[moved], seen, F, weight[np.ix_(both, both)], D
+            A[np.ix_(moved, moved)], B[moved], S, E[moved], seen, F, weight[np.ix_(kept, kept)], D
         )
         found = np.zeros((n, len(S)))
         found[moved] = X

@@ -354,6 +354,9 @@ def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()
     return f"{where} is {quoted(first['input'])}; {expected}"
 
 
+ALTERNATIVES = ("float", "int", "str", "bool", "dict[str,any]")  # pydantic's names of types, of which a value has one
+
+
 def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
     """Return the keys and indices of a location without the names that pydantic gives to alternative types."""
     kept = list[str | int]()
@@ -362,7 +365,7 @@ def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
         keys = keys_of(table) if _is_table(table) else {}
         if isinstance(part, int):
             kept.append(part)
-        elif get_origin(table) is dict:
+        elif get_origin(table) is dict and part not in ALTERNATIVES:
             kept.append(part)
             table = get_args(table)[1]
         elif part in keys:
