@@ -16,6 +16,7 @@ from taciturn import Cost, Network, Plant, close, design
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.losses import Burst
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.packets import inputs_at, outputs_at, roles
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
@@ -111,6 +112,30 @@ def test_a_node_in_c_takes_missing_samples_as_one_in_python() -> None:
         host.step(tick, y)
         device.step(tick, y)
     assert device.counters["missing"] == len(GAP) + host.counters["missing"] == len(GAP) + 3
+
+
+@pytest.mark.parametrize("point", [False, True], ids=["at zero", "at an operating point"])
+@pytest.mark.parametrize("kind", ["excess", "all_time"])
+@pytest.mark.parametrize("gap", [(0, 1, 2), (5, 6, 7)])
+def test_a_measured_state_is_predicted_by_the_model(kind: str, point: bool, gap: Sequence[int]) -> None:
+    """Without noise, the inputs are those without the gap: no jump, in one program and in a node of its own."""
+    A, B, x0, u0 = np.array([[1, 0.2], [-0.1, 0.95]]), np.array([[0.0], [0.3]]), np.array([2.0, 1.0]), np.array([0.5])
+    rest = OperatingPoint(x0, u0) if point else None
+    drift = x0 - A @ x0 - B @ u0 if point else np.zeros(2)
+    plant = Plant(A, B, 1e-2 * np.eye(2), dt=1.0, mean=[3.0, -1.0], operating_point=rest)
+    given = {"theta": 0.2} if kind == "excess" else {}
+    policy, paths = getattr(design, kind)(plant, Cost(np.eye(2), [[0.1]]), **given), list[list[float]]()
+    for missing in ((), gap):
+        nodes, alone, x = Nodes(policy), Node(policy, "controller"), np.array([3.0, -1.0])
+        paths.append([])
+        for k in range(14):
+            y = [None, None] if k in missing else x.tolist()
+            u = nodes.step(y)
+            alone.step(k, y)
+            assert alone.memory["last y"] == pytest.approx(x.tolist(), abs=1e-12)
+            paths[-1].append(float(u[0]))
+            x = A @ x + B @ u + drift
+    np.testing.assert_allclose(paths[1], paths[0], atol=1e-12)
 
 
 def test_the_filter_predicts_a_missing_sample_against_numpy() -> None:

@@ -1,9 +1,10 @@
 """Missing samples: what a node takes in place of a measurement that it does not have.
 
 If the filter that predicts an output is at the site of the node, the node takes the prediction, so that the innovation
-is 0 and the filter predicts. Otherwise it holds the last measurement, so that a dead band stays silent and a PID
-controller has no derivative kick. A node that sends its measurement in every step sends no packet in a step without
-any, so the receiver takes the packet as lost.
+is 0 and the filter predicts. A node that measures the whole state and has a copy of the input predicts it by the model,
+A y + B û. Otherwise a node holds the last measurement, so that a dead band stays silent; after a gap, the derivative of
+a PID controller then sees the change of the whole gap in one step. A node that sends its measurement in every step
+sends no packet in a step without any, so the receiver takes the packet as lost.
 
 Inputs of the program of a node (``known_of``) state which outputs are missing: 1 for an output that is measured, and 0
 otherwise. A simulation draws which are missing (``TimeStep.draw_samples``).
@@ -24,6 +25,7 @@ from taciturn.model.trigger import Scheduled
 from taciturn.program.ir import Truth
 from taciturn.program.translation import Operands, TimeStep
 
+HELD = "held"  # the controller's copy of the input, in all designs
 SAMPLED = "sampled"  # outputs of the program of a loop: for each output of the plant 1, or 0 if its sample is missing
 
 
@@ -43,7 +45,7 @@ def complete(tick: TimeStep, policy: Policy, signal: str, values: Operands, know
     expected = tick.recall(_last(signal)) if terms is None else tick.combine(terms, len(values))
     found = [b.choose(*one) for one in zip(known, values, expected, strict=True)]
     tick.signals[signal] = found
-    if terms is None:
+    if terms is None or _last(signal) in terms:
         tick.signals[_last(signal)] = found
     some: Truth = False
     for truth in known:
@@ -53,12 +55,19 @@ def complete(tick: TimeStep, policy: Policy, signal: str, values: Operands, know
 
 def held_samples(policy: Policy) -> dict[str, Array]:
     """Return the memories of the last samples, with the measurements that are expected at the start."""
-    model = policy.model
+    model, found = policy.model, dict[str, Array]()
     expected = model.C @ model.mean
-    held = {signal: outputs for signal, (_, outputs) in sensed_by(policy).items()}
-    return {
-        _last(signal): expected[[*outputs]] for signal, outputs in held.items() if _predicted_at(policy, signal) is None
-    }
+    for signal, (_, outputs) in sensed_by(policy).items():
+        terms = _predicted_at(policy, signal)
+        if terms is None:
+            found[_last(signal)] = expected[[*outputs]]
+        elif _last(signal) in terms:  # from which the model leads to the expected state
+            begun = (
+                terms[HELD] @ policy.initial.get(HELD, np.zeros(model.inputs))
+                + terms.get(ONE, 0.0 * model.A[:, :1])[:, 0]
+            )
+            found[_last(signal)] = np.linalg.lstsq(model.A, expected - begun, rcond=None)[0]
+    return found
 
 
 def predicted_outputs(policy: Policy) -> Terms | None:
@@ -85,9 +94,14 @@ def predicted_outputs(policy: Policy) -> Terms | None:
 def _predicted_at(policy: Policy, signal: str) -> Mapping[str, Array] | None:
     """Return the prediction of a measured signal from signals of its node's site; None if the node has none."""
     predicted, (node, outputs) = predicted_outputs(policy), policy.measured[signal]
-    if predicted is None:
-        return None
     homes = {name: policy.site(step.at) for step in policy.steps for name in assigned(step)}
+    if predicted is None:
+        model = policy.model
+        state = model.full_state and model.function is None and [*outputs] == [*range(model.states)]
+        if not state or homes.get(HELD) != policy.site(node):
+            return None
+        drift = {} if model.drift is None else {ONE: model.drift[:, None]}
+        return {_last(signal): model.A, HELD: model.B, **drift}
     terms = {name: np.asarray(weight)[[*outputs]] for name, weight in predicted.items()}
     terms = {name: weight for name, weight in terms.items() if weight.any() or name != ONE}
     known = all(name == ONE or homes.get(name) == policy.site(node) for name in terms)
