@@ -229,3 +229,18 @@ def test_the_baseline_has_what_the_loop_has(changes: dict[str, object]) -> None:
     errors = [own.cost_every_sample.standard_error, found.cost.standard_error]
     assert abs(own.cost_every_sample.value - found.cost.value) < 4 * np.hypot(*errors)
     assert abs(own.cost_every_sample.value - taciturn.load("pid-tank").design().cost_all_time) > 4 * np.hypot(*errors)
+
+
+@pytest.mark.parametrize("kind", ["all-time", "periodic"])
+@pytest.mark.parametrize("protocol", ["udp", "tcp"])
+def test_controllers_at_fixed_steps_run_over_links_that_drop_packets(kind: str, protocol: str) -> None:
+    """The cost is simulated, and that of every sample is exact: the same as of ``excess`` without a threshold."""
+    lossy = {"network.protocol": protocol, "network.actuator_loss": 0.2}
+    fixed = {"policy.kind": kind, "policy.theta": None, **({"policy.every": 1} if kind == "periodic" else {})}
+    found = taciturn.evaluate(taciturn.load("pid-tank").changed({**lossy, **fixed}), steps=200_000, after_step=False)
+    assert found.cost_every_sample is not None
+    assert found.cost_every_sample.standard_error == 0.0
+    assert abs(found.cost.value - found.cost_every_sample.value) < 4 * found.cost.standard_error
+    if protocol == "tcp":
+        attempts = taciturn.load("pid-tank").changed(lossy).design().cost_all_time
+        assert found.cost_every_sample.value == pytest.approx(attempts, rel=1e-9)

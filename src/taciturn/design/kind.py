@@ -109,6 +109,7 @@ class Kind(Displayed):
         joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
             one actuator, and ``taciturn.design.several_nodes`` derives the decision on sets.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
+        runs_with_losses: whether a problem may state losses that the design does not know; the loop is then simulated.
         delay: the largest delay of computations, in steps, that a design with a network supports.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
@@ -143,6 +144,7 @@ class Kind(Displayed):
     several_nodes: bool = False
     joint_links: bool = False
     ideal_links: bool = False
+    runs_with_losses: bool = False
     delay: int = 0
     shares: str | None = None
 
@@ -197,8 +199,8 @@ class Kind(Displayed):
 
     @property
     def takes_losses(self) -> bool:
-        """True if the design function accepts links that drop or delay packets."""
-        return "network" in self.tables and not self.ideal_links
+        """True if links may drop packets: the design function accepts them, or the loop is simulated."""
+        return ("network" in self.tables and not self.ideal_links) or self.runs_with_losses
 
     def network_for(self, network: Network | None) -> Network:
         """Return the network that the design function receives: the given one, or the default nodes with its links.

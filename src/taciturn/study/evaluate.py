@@ -34,7 +34,7 @@ from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
-from taciturn.design.at_fixed_steps import send_at_fixed_steps
+from taciturn.design.at_fixed_steps import decides, send_at_fixed_steps, sends_always
 from taciturn.design.silence import WATCH
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -202,6 +202,8 @@ def _evaluated(
     notes += [f"no cost of every sample: {base.why}"] if base.why else []
     found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
     every, excess = base.compared(found)
+    if excess is not None and not decides(policy) and sends_always(policy):
+        excess = Estimate(0.0, 0.0, excess.method)
     told_by_theory = loop.nominal and base.loop is None
     notes += alarmed(loop, found)
     better = dict[str, Estimate]()

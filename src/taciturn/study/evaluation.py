@@ -580,7 +580,7 @@ class Evaluation(Tabular):
         costs nothing, or an unknown amount.
         """
         every = self.cost_every_sample
-        if self.measured or every is None:
+        if self.baseline is not None or every is None:
             return self.paired
         return excess_over(self.cost, every)
 

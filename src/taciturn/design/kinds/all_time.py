@@ -58,5 +58,6 @@ KIND = Kind(
     tuning=(TradeoffParameter("period", continuous=True),),
     proved="cost and rate, exactly",
     order="filter, command, send, hold, predict",
+    runs_with_losses=True,
     keeps_controller=True,
 )

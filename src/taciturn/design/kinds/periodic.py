@@ -176,5 +176,6 @@ KIND = Kind(
     order="filter, command, decide by the step counter, send, hold or model, predict",
     usual={"every": 2},
     asked=("every",),
+    runs_with_losses=True,
     keeps_controller=True,
 )
