@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -576,13 +577,16 @@ def _safe(text: str) -> Any:
 
 
 def _numbers(name: str, text: str, others: str = "") -> tuple[float, ...]:
-    """Return the numbers in a text, separated by commas."""
+    """Return the finite numbers in a text, separated by commas."""
     from taciturn.errors import ProblemError
 
     try:
-        return tuple(float(part) for part in text.split(","))
+        found = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ProblemError(f"{name} is {text.strip()!r}; expected {others}numbers such as 0.5,-1") from None
+        found = (nan,)
+    if not all(map(isfinite, found)):
+        raise ProblemError(f"{name} is {text.strip()!r}; expected {others}numbers such as 0.5,-1")
+    return found
 
 
 @contextmanager
