@@ -1,7 +1,6 @@
 """Does a tank follow its operator over UDP, although samples are missing and somebody draws water?
 
-The built-in tank and its PID controller run as processes in real time, 20 times as fast as the tank. The operator types
-three set-points, of which one is beyond the range. One sample in ten is missing, and a load acts from 30 s on.
+Processes run 20 times as fast as the tank. Of the typed set-points, 9 is beyond the range. Some samples are missing.
 """
 
 import json
@@ -44,19 +43,20 @@ for at, value in ((50, 2), (70, 9), (95, 1)):  # seconds, set-point
         time.sleep(0.02)
     print(value, file=operator.stdin, flush=True)
 print(tank.wait(), operator.communicate()[0])
-actuator.terminate(), controller.terminate()
+_ = actuator.terminate(), controller.terminate()
 level = np.array([row["x"][0] for row in steps("tank.jsonl")])
-keys = ("timestamp", "sent_actuator", "y", "set_points_in_effect")
-told, sent, known, effect = (np.array([row[key] for row in steps("pid.jsonl")]) for key in keys)
-rcParams.update(taciturn.style())
-figure = Figure(figsize=(7, 4), layout="constrained")
-upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+keys = ("timestamp", "sent_actuator", "y", "set_points_in_effect", "set_points")
+told, sent, known, *points = (np.array([row[key] for row in steps("pid.jsonl")[: len(level)]]) for key in keys)
+rcParams.update(taciturn.style() | {"figure.constrained_layout.use": True})
+upper, lower = (figure := Figure(figsize=(7, 4))).subplots(2, 1, sharex=True, height_ratios=(4, 1))
 upper.plot(STEP * np.arange(len(level)), level, label="level")
-upper.step(told, effect, "k--", label="set-point in effect")
-upper.set(title=f"The tank follows its operator with {100 * sent.mean():.0f} % of the packets", ylabel="level")
+upper.step(told, points[0], "k--", label="set-point in effect")
+upper.step(told, points[1], "k:", label="set-point as typed")
+upper.axvline(30, color="C1", label="start of the load")
+upper.set(title=f"The tank follows its operator, and sends in {100 * sent.mean():.0f} % of the steps", ylabel="level")
 upper.legend()
-for place, there in enumerate((sent > 0, np.equal(known[:, 0], None))):
-    lower.eventplot(told[there], lineoffsets=place, linelengths=0.7, colors=f"C{3 * place}")
-lower.set(yticks=[0, 1], yticklabels=["packets", "missing samples"], xlabel="time of the tank (s)")
+lower.eventplot(told[sent > 0], lineoffsets=0, linelengths=0.7, colors="C0", linewidths=0.5)
+lower.eventplot(told[np.equal(known[:, 0], None)], lineoffsets=1, linelengths=0.7, colors="C1", linewidths=0.5)
+lower.set(yticks=[0, 1], yticklabels=["packets", "missing samples"], xlabel="time (s)")
 figure.savefig("a_tank_with_an_operator_over_udp.svg")
 assert max(abs(level[900:950].mean() - 4.0), abs(level[-50:].mean() - 1.0)) < 0.3

@@ -56,7 +56,7 @@ class InEffect(NamedTuple):
         found = f"{by_hand}set-point {_text(self.in_effect)} in effect from step {self.step}"
         if self.given == self.in_effect:
             return found
-        why = "on the ramp towards" if self.moves else "at the end of the range, before"
+        why = "on the ramp towards" if self.moves else "at the end of the range, instead of"
         return f"{found}, {why} {_text(self.given)}"
 
 

@@ -256,7 +256,7 @@ def test_the_simulated_plant_yields_to_an_operator(keys: Keys | None) -> None:
             pass
         assert found.in_effect == (RANGE[1],)
         assert "5 in effect from step" in found.sentence()
-        assert found.sentence().endswith("at the end of the range, before 9")
+        assert found.sentence().endswith("at the end of the range, instead of 9")
         for datagram in tap.recorded:  # the recording of the first operator
             other.send(datagram, controller)
         with pytest.raises(ProblemError, match="expected 1 finite number"):
