@@ -1,6 +1,6 @@
 """Does a tank follow its operator over UDP, although samples are missing and somebody draws water?
 
-Processes run 20 times as fast as the tank. Of the typed set-points, 9 is beyond the range. Some samples are missing.
+Processes run 20 times as fast as the tank. The operator types 9, which is beyond the range. Some samples are missing.
 """
 
 import json
