@@ -66,7 +66,9 @@ def held_samples(policy: Policy) -> dict[str, Array]:
                 terms[HELD] @ policy.initial.get(HELD, np.zeros(model.inputs))
                 + terms.get(ONE, 0.0 * model.A[:, :1])[:, 0]
             )
-            found[_last(signal)] = np.linalg.lstsq(model.A, expected - begun, rcond=None)[0]
+            found[_last(signal)] = np.asarray(
+                np.linalg.lstsq(model.A, expected - begun, rcond=None)[0], dtype=np.float64
+            )
     return found
 
 
