@@ -166,10 +166,14 @@ int main(void) {
   for (size_t tick = 0U; tick < selfcheck_rows; tick++) {
     const tac_real *row = &selfcheck_vector[tick * width];
     const bool expected = row[selfcheck_measured + selfcheck_drawn + selfcheck_link_count] > 0;
+    for (size_t i = 0U; i < selfcheck_measured; i++) { /* the outputs, then for each that it is measured */
+      node->inputs[i] = row[i];
+      node->inputs[selfcheck_measured + i] = 1;
+    }
     for (size_t i = 0U; i < WAYS; i++) {
       uint32_t instructions;
       if (i == 0U) {
-        instructions = count_part(node->data->first, node, row) - around[0];
+        instructions = count_part(node->data->first, node, node->inputs) - around[0];
         sent = node->outputs[node->data->sends[0].at] > 0;
       } else {
         instructions = count_way(ways[i], &memories[i], row, &command, &sent) - around[1];
