@@ -345,7 +345,7 @@ def cost_goal(problem: Problem, tuning: TradeoffParameter, budget: object, link:
         return CostGoal(number("cost", budget, 0.0), link)
     most = 1 + _share("cost", budget)
     policy, loop = _tuned_loop(problem, tuning, "cost", budget)
-    if loop is None or loop.nominal:
+    if loop is None:
         return CostGoal(most * policy.cost_all_time, link)
     base = baseline_of(problem, loop)
     if base.cost is not None:

@@ -24,11 +24,12 @@ from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.model.cost import Cost
 from taciturn.model.network import REFERENCE
 from taciturn.model.plant import Plant
+from taciturn.model.policy import ESTIMATE as ESTIMATE
+from taciturn.model.policy import HELD as HELD
 from taciturn.model.steps import Assign, Location, Step
 from taciturn.model.theory import INNOVATION, Innovations
 from taciturn.model.trigger import Matrix, Scheduled
 
-ESTIMATE, HELD = "estimate", "held"
 SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 

@@ -89,10 +89,10 @@ def regulator_equations(
 ) -> tuple[Array, Array]:
     """Solve A X + B U + E = X S and C_z X + D_z U + F = 0. If there are several solutions, return the cheapest one."""
     n, m = B.shape
+    # A state that neither inputs nor signals move is no part of x = X d, also if it is constant as d is: a constant
+    # state at the inputs would otherwise hold the set-point at no cost.
     moved = closure(np.asarray(B.any(axis=1) | E.any(axis=1)), A != 0)
-    if (
-        moved.any() and not moved.all()
-    ):  # a state that neither inputs nor signals move goes on by itself, so none of it follows them
+    if moved.any() and not moved.all():
         kept = np.flatnonzero([*moved, *[True] * m])
         seen = outputs[:, moved]
         X, U = regulator_equations(

@@ -41,9 +41,8 @@ def with_loads(problem: Discrete, plant: Plant | ContinuousPlant) -> Discrete:
     rows = 1 + int(max(one.steps(period)[-1] for one in loads))
     hidden = [one for one in loads if one.signal is None]
     joined = [(one, one.signal) for one in loads if one.signal is not None]
-    values = [one.at_steps(period, rows + 1) for one in loads]
-    held = {id(one): value for one, value in zip(loads, values, strict=True)}
-    table = [held[id(one)][:-1] for one in hidden] + [np.diff(held[id(one)]) for one, _ in joined]
+    table = [one.at_steps(period, rows) for one in hidden]
+    table += [np.diff(one.at_steps(period, rows + 1)) for one, _ in joined]
     E = np.column_stack([*(one.E for one in hidden), np.zeros((len(plant.A), 0))])
     E, cost = _within_a_period(problem, plant, E)
     moves, shown, start = np.zeros((n, len(loads))), np.zeros((p, len(loads))), np.zeros(n)

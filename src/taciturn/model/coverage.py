@@ -53,8 +53,8 @@ def names(owner: str, properties: str) -> frozenset[str]:
 
 # states and inputs are deviations from an operating point, so all that holds for a plant around 0 holds there
 POINT = names("operating_point", "x u") | {"plant.operating_point"}
-# names change no number;
-# stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the inputs are limited
+# names change no number; stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the
+# inputs are limited
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit names") | POINT
 FEEDTHROUGH = frozenset({"plant.D", "plant.registers"})
 ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at

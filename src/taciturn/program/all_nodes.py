@@ -21,7 +21,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import Policy
+from taciturn.model.policy import HELD, Policy
 from taciturn.model.saturation import Saturation
 from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import ONE, Assign, Step
@@ -41,7 +41,7 @@ from taciturn.program.translation import (
     sample_state,
 )
 
-_FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
+_FILTER, _REGISTERS = "prior", ("register", "next register")  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
 _COMMAND, TOLD = "command", "the applied input is known"

@@ -18,14 +18,13 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE
-from taciturn.model.policy import Policy
+from taciturn.model.policy import HELD, Policy
 from taciturn.model.steps import ONE, Assign, Terms, assigned
 from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Scheduled
 from taciturn.program.ir import Truth
 from taciturn.program.translation import Operands, TimeStep
 
-HELD = "held"  # the controller's copy of the input, in all designs
 SAMPLED = "sampled"  # outputs of the program of a loop: for each output of the plant 1, or 0 if its sample is missing
 
 
@@ -56,19 +55,14 @@ def complete(tick: TimeStep, policy: Policy, signal: str, values: Operands, know
 def held_samples(policy: Policy) -> dict[str, Array]:
     """Return the memories of the last samples, with the measurements that are expected at the start."""
     model, found = policy.model, dict[str, Array]()
-    expected = model.C @ model.mean
+    expected, drift = model.C @ model.mean, 0.0 if model.drift is None else model.drift
     for signal, (_, outputs) in sensed_by(policy).items():
         terms = _predicted_at(policy, signal)
         if terms is None:
             found[_last(signal)] = expected[[*outputs]]
         elif _last(signal) in terms:  # from which the model leads to the expected state
-            begun = (
-                terms[HELD] @ policy.initial.get(HELD, np.zeros(model.inputs))
-                + terms.get(ONE, 0.0 * model.A[:, :1])[:, 0]
-            )
-            found[_last(signal)] = np.asarray(
-                np.linalg.lstsq(model.A, expected - begun, rcond=None)[0], dtype=np.float64
-            )
+            moved = expected - model.B @ policy.initial.get(HELD, np.zeros(model.inputs)) - drift
+            found[_last(signal)] = np.asarray(np.linalg.lstsq(model.A, moved, rcond=None)[0], dtype=np.float64)
     return found
 
 

@@ -53,6 +53,7 @@ class Baseline(Displayed):
     loop: Loop | None  # None if there is no such loop
     cost: Estimate | None  # exact cost in the unit of the cost
     why: str = ""  # reason why neither is known
+    same: bool = False  # whether the evaluated loop itself sends every sample
 
     @property
     def simulated(self) -> Loop | None:
@@ -63,7 +64,10 @@ class Baseline(Displayed):
         """Return the cost of the baseline and the excess J/J_every − 1 of a cost, for which it may be simulated."""
         if self.cost is None:
             return found.baseline, found.excess
-        return self.cost, excess_over(found.cost, self.cost)
+        excess = excess_over(found.cost, self.cost)
+        if self.same and excess is not None:  # a simulated cost differs from an exact one by its error alone
+            excess = Estimate(0.0, 0.0, excess.method)
+        return self.cost, excess
 
 
 def excess_over(cost: Estimate, base: Estimate) -> Estimate | None:
@@ -110,7 +114,8 @@ def baseline_of(problem: Problem, loop: Loop) -> Baseline:
         return Baseline(None, None, str(error))
     except OutOfTime:
         found = None
-    return Baseline(every, None if found is None else Estimate(found, 0.0, "exact"))
+    same = not decides(policy) and sends_always(policy)
+    return Baseline(every, None if found is None else Estimate(found, 0.0, "exact"), same=same)
 
 
 def _every_sample(problem: Problem, loop: Loop) -> Loop:

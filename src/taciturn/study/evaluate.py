@@ -34,7 +34,7 @@ from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
 from taciturn.analyse.renewal import bound_rate, resets
-from taciturn.design.at_fixed_steps import decides, send_at_fixed_steps, sends_always
+from taciturn.design.at_fixed_steps import send_at_fixed_steps
 from taciturn.design.silence import WATCH
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -202,9 +202,6 @@ def _evaluated(
     notes += [f"no cost of every sample: {base.why}"] if base.why else []
     found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
     every, excess = base.compared(found)
-    if excess is not None and not decides(policy) and sends_always(policy):
-        excess = Estimate(0.0, 0.0, excess.method)
-    told_by_theory = loop.nominal and base.loop is None
     notes += alarmed(loop, found)
     better = dict[str, Estimate]()
     if every is not None and costs_less(excess):
@@ -282,8 +279,8 @@ def _evaluated(
         certificate=_certificate(loop, found),
         guarantee_shares={} if guarantee is None else _guarantee_shares(loop, guarantee, found),
         cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
-        baseline=None if told_by_theory else every,
-        paired=None if told_by_theory else excess,
+        baseline=None if base.loop is None else every,  # or the theory states it
+        paired=None if base.loop is None else excess,
         better=better,
     )
 
