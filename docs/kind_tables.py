@@ -119,7 +119,7 @@ def sizes(_: Sequence[Kind]) -> str:
         "directions of the error for `optimal`, and for costs without simulation by quadrature": MOST_STATES,
         "directions of the error for `near-optimal`": DIRECTIONS,
         "actuator links whose sets `distributed` compares (`joint`)": MOST_SETS,
-        "links that drop packets, for the exact cost of attempts on all of them": switched.MOST_LINKS,
+        "links that drop packets and nodes that miss samples, for the exact cost of every sample": switched.MOST_LAWS,
         "modes that do not decay, for critical losses": lossy.MOST_MODES,
         "states of a loop over one link with losses, for its fourth moments (else a statistical test)": fourth,
         "simulated steps of an evaluation": sampling.MOST_OPERATIONS,

@@ -51,6 +51,7 @@ from taciturn.model.coverage import (
     uncovered,
 )
 from taciturn.model.disturbance import padded
+from taciturn.model.expected import sensed_by
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
 from taciturn.model.losses import LossLaw
@@ -65,7 +66,7 @@ from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program, Truth
-from taciturn.program.missing import SAMPLED, sensed_by
+from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import Name, Precision, Sent, Silence, named
 from taciturn.program.ranges import ranges_of_sums
 from taciturn.program.signals import LOADED, TIMETABLE, add_changes, add_jumps, draw_noise, read_loads
@@ -117,6 +118,9 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "samples are missing at random": lacks(SAMPLES),
+        "the filter has the gain for missing samples, but none is missing": bool(
+            policy.network.missing and not network.missing
+        ),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
     others = [name for name in missing if name not in NAMED]

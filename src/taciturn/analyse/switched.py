@@ -6,11 +6,11 @@ of the trigger are those of the program that is simulated. The map is reduced to
 scaled to about unit size, for certificates. In innovations form it has the same distribution if the plant is that of
 the design and the filter is steady. Two questions are answered without simulation.
 
-**Moments over lossy links** (``outcomes``). Over lossy links the map is z⁺ = F_o z + G w, where the outcome o lists the
-links that drop a packet. The probability of an outcome depends only on the state of the links. Therefore the second and
-the fourth moments of z satisfy linear recursions, and exist in the long run only if these are stable. Let X_s be the
-second moment while the links are in state s, T the transition probabilities of the links, and π_r the share of the
-steps in state r. Then
+**Moments over lossy links and with missing samples** (``outcomes``). The map is then z⁺ = F_o z + G w, where the
+outcome o lists the links that drop a packet, and the nodes whose samples are missing. The probability of an outcome
+depends only on the state of the links and sensors. Therefore the second and the fourth moments of z satisfy linear
+recursions, and exist in the long run only if these are stable. Let X_s be the second moment in state s, T the
+transition probabilities of the states, and π_r the share of the steps in state r. Then
 
     X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G').
 
@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from itertools import product
+from itertools import compress
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -62,11 +62,12 @@ from taciturn.model.coverage import (
     LOSSES,
     MEMORIES,
     ROUNDING,
+    SAMPLES,
     TRACKING,
     uncovered,
 )
 from taciturn.model.link import IDEAL_LINK
-from taciturn.model.losses import stationary
+from taciturn.model.losses import together
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Apply, Condition, Decide, Draw, Evaluate, Send, Step, read
@@ -91,7 +92,7 @@ BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
 MOST_MOMENTS = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
 SOLVED = 1e-9  # relative residual of the equation for the second moments
 NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
-MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
+MOST_LAWS = 6  # largest number of links that drop packets and of nodes that miss samples, with 2^number outcomes
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
 
 # the response to signals that wander
@@ -196,11 +197,14 @@ def _sizes(found: Switched) -> Array:
 
 
 class Case(NamedTuple):
-    """One case of a step: the label that each decision selects, and the links that drop their packets."""
+    """One case of a step: the label that each decision selects, the links that drop their packets, and the nodes whose
+    samples are missing.
+    """
 
     label: str
     taken: Mapping[str, int]
     lost: Collection[str] = ()
+    missing: Collection[str] = ()
 
 
 def switched(loop: Loop) -> Switched:
@@ -325,6 +329,10 @@ class FixedStep(TimeStep):
     def draw_losses(self, policy: Policy, network: Network) -> None:
         """Draw no random losses, because the case states which links drop their packets."""
 
+    def draw_samples(self, network: Network) -> dict[str, Truth]:
+        """Return which nodes have a sample: all but those that the case lists."""
+        return {node: node not in self._case.missing for node in network.missing}
+
     def take(self, step: Step) -> None:
         """Translate a policy step for the label of the case; raise an error if the policy step is not linear."""
         if isinstance(step, Evaluate | Apply | Draw):
@@ -418,18 +426,19 @@ def _unserved() -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(Displayed):
-    """Jump linear map of a loop that sends at every step over lossy links: one linear map for each set of dropped
-    packets.
+    """Jump linear map of a loop that sends at every step: one linear map for each set of dropped packets and missing
+    samples.
     """
 
     F: Array  # dynamics matrix of each outcome, (outcomes, r, r)
     G: Array  # input matrix of the noise, (r, q)
     M: Array  # matrix of the stage cost z'M_o z of each outcome, (outcomes, r, r)
     constant: float  # cost of every step in addition
-    turns: Array  # transition probabilities T between the states of the links, (states, states)
-    shares: Array  # share of the steps in each state of the links, (states,)
-    odds: Array  # probability of each outcome in each state of the links, (states, outcomes)
+    turns: Array  # transition probabilities T between the states of links and sensors, (states, states)
+    shares: Array  # share of the steps in each state, (states,)
+    odds: Array  # probability of each outcome in each state, (states, outcomes)
     decides: bool  # whether the policy of the loop may skip a send
+    reason: str  # reason why outcomes differ, for messages: "losses" or "missing samples"
 
     def growth(self, power: int) -> float:
         """Compute the asymptotic growth factor per step of the moments of order 2 or 4; 0 if too many to compute."""
@@ -453,8 +462,8 @@ class Outcomes(Displayed):
             return self.constant
         if (growth := self.growth(2)) >= 1 - NEARLY:
             raise UnstableError(
-                "with these losses, the mean square of the state of the loop that sends every packet grows by a "
-                f"factor of {growth:.6g} per step; expected smaller loss probabilities"
+                f"with these {self.reason}, the mean square of the state of the loop that sends every packet grows by "
+                f"a factor of {growth:.6g} per step; expected smaller probabilities"
             )
         added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
         moved = _scipy.fixed_point(lambda entries: self._moved(entries.reshape(added.shape), 2).ravel(), added.ravel())
@@ -463,7 +472,7 @@ class Outcomes(Displayed):
         if not float(np.linalg.norm(missed)) <= SOLVED * float(np.linalg.norm(added)):
             raise UnstableError(
                 "the second moments of the loop that sends every packet cannot be computed reliably; expected "
-                "smaller loss probabilities, or a larger stability margin"
+                "smaller probabilities, or a larger stability margin"
             )
         stage = np.tensordot(self.odds, self.M, 1)
         return self.constant + float(np.sum(stage * moments))
@@ -477,34 +486,44 @@ class Outcomes(Displayed):
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
-    """Compute the jump linear map of a loop that sends every packet over lossy links; return None for other loops."""
+    """Compute the jump linear map of a loop that sends every packet over lossy links, or whose samples may be missing;
+    return None for other loops.
+    """
     loop = loop.deviations
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
-    if not links:
+    if not links and not loop.network.missing:
         return None
     try:
-        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST | EXOSYSTEM)
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST | EXOSYSTEM | SAMPLES)
         return _read(loop, links)
     except ProblemError:
         return None
 
 
 def _read(loop: Loop, links: Sequence[str]) -> Outcomes | None:
-    exact = replace(loop, network=loop.network.delivery)  # rounding does not change the growth
+    # rounding does not change the growth
+    nodes, exact = [*loop.network.missing], replace(loop, network=loop.network.delivery)
+    exact = replace(exact, network=replace(exact.network, missing=loop.network.missing))
     always = attempt_of(loop.policy)
-    if always is None or len(links) > MOST_LINKS:
+    if always is None or len(links) + len(nodes) > MOST_LAWS:
         return None
-    cases = list(product((False, True), repeat=len(links)))
-    lost = [[link for link, gone in zip(links, dropped, strict=True) if gone] for dropped in cases]
-    raw, starts = read_steps(exact, [always._replace(lost=links) for links in lost])
+    chances = together([*map(loop.network.chain, links), *map(loop.network.chain_of_samples, nodes)])
+    cases = [
+        always._replace(lost=[*compress(links, case)], missing=[*compress(nodes, case[len(links) :])])
+        for case in chances.cases
+    ]
+    raw, starts = read_steps(exact, cases)
     seen = _affecting(raw.M, raw.F)
     T = np.eye(raw.states)[:, seen]
     nothing = tuple(np.zeros_like(F) for F in raw.F)
     found = relevant(replace(raw, Psi=nothing, X=raw.X[:0]).changed(T.T, T), starts[seen, :0])
-    turns, shares, odds = _chance(loop.network, links, cases)
     decides = any(len(trigger.labels) > 1 for trigger in loop.policy.decisions.values())
-    return Outcomes(np.stack(found.F), found.G, np.stack(found.M), found.constant, turns, shares, odds, decides)
+    reason = " and ".join([*(["losses"] if links else []), *(["missing samples"] if nodes else [])])
+    return Outcomes(
+        np.stack(found.F), found.G, np.stack(found.M), found.constant, chances.turns, chances.shares, chances.odds,
+        decides, reason,
+    )  # fmt: skip
 
 
 def _affecting(costs: Sequence[Array], maps: Sequence[Array]) -> list[int]:
@@ -514,23 +533,6 @@ def _affecting(costs: Sequence[Array], maps: Sequence[Array]) -> list[int]:
     while more := set(np.flatnonzero(pattern[sorted(found)].any(axis=0)).tolist()) - found:
         found |= more
     return sorted(found)
-
-
-def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]]) -> tuple[Array, Array, Array]:
-    """Return the joint transition matrix of the links, their shares, and the probability of each case in each state."""
-    turns: Array = np.ones((1, 1))
-    shares: Array = np.ones(1)
-    losses: list[tuple[float, ...]] = [()]
-    for link in links:
-        own, drops = network.chain(link)
-        turns = np.asarray(np.kron(turns, own), dtype=np.float64)
-        shares = np.asarray(np.kron(shares, stationary(own)), dtype=np.float64)
-        losses = [(*before, drop) for before in losses for drop in drops.tolist()]
-    odds = [
-        [float(np.prod([p if gone else 1 - p for p, gone in zip(state, case, strict=True)])) for case in cases]
-        for state in losses
-    ]
-    return turns, shares, np.array(odds)
 
 
 def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ import numpy as np
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
 from taciturn._plugins import find_plugins, in_this_wheel
+from taciturn.design.missing_samples import for_missing_samples
 from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
@@ -348,7 +349,7 @@ def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPoli
     known = kind.network_for(network)
     policy = design(known)
     if isinstance(policy, Policy):
-        return placed(policy, network)
+        return for_missing_samples(placed(policy, network), network)
     if known.nodes != network.nodes:
         raise ProblemError(
             f"the policy {policy.kind} has no sampling steps that nodes could run, but the network has nodes with "

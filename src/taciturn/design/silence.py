@@ -79,6 +79,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 BELIEF = "belief"
 GOOD_OR_BAD = ("cost if good", "cost if bad")
+SURPRISE = "surprise"  # how large innovations are, relative to their covariance: an average
 WATCH = "watch"  # the decision with the outcomes expected and surprised
 FORGOTTEN = 0.02  # weight of the newest innovation: the average extends over about 50 steps
 FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
@@ -366,13 +367,17 @@ def watch_innovations(signal: str, covariance: Matrix, at: str, entries: int) ->
     """
     freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
     limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
-    averaged = Form((signal,), _weight(covariance, entries), plus={"surprise": 1 - FORGOTTEN})
     same, more = Form(plus={"alarms": 1.0}), Form(constant=1.0, plus={"alarms": 1.0})
     return (
-        Evaluate(at, "surprise", (averaged,)),
-        Decide(at, WATCH, Trigger({"expected": Form(plus={"surprise": 1.0}), "surprised": Form(constant=limit)})),
+        surprise(signal, covariance, at, entries),
+        Decide(at, WATCH, Trigger({"expected": Form(plus={SURPRISE: 1.0}), "surprised": Form(constant=limit)})),
         Evaluate(at, "alarms", (same, more), WATCH),
     )
+
+
+def surprise(signal: str, covariance: Matrix, at: str, entries: int) -> Evaluate:
+    """Return the policy step that averages how large the innovations are, relative to their covariance."""
+    return Evaluate(at, SURPRISE, (Form((signal,), _weight(covariance, entries), plus={SURPRISE: 1 - FORGOTTEN}),))
 
 
 def _weight(covariance: Matrix, entries: int) -> Matrix:

@@ -155,22 +155,30 @@ def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, 
     # those that never move. Set-points act on nothing else. A known load does not move by itself; the filter removes it
     # from the other outputs.
     n, p = len(A) - given, len(C) - given
-    found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
+    found = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact)
     if not given:
         return found
     moved, none = W[n:, n:], np.zeros((given, given))
-    gain = block_diagonal(found.gain, unit)
-    gain[:n, p:] = -found.gain @ C[:p, n:]
     return _frozen(
         Filter(
             block_diagonal(found.prior, moved),
             block_diagonal(found.posterior, none),
-            gain,
+            taken_over(found.gain, C, given),
             block_diagonal(found.innovation, moved),
             block_diagonal(found.error, none),
             found.slowest,
         )
     )
+
+
+def taken_over(gain: Array, C: Array, given: int) -> Array:
+    """Extend the gain of a filter by the last ``given`` states, which it takes over from as many outputs."""
+    if not given:
+        return gain
+    n, p = gain.shape
+    found = block_diagonal(gain, np.eye(given))
+    found[:n, p:] = -gain @ C[:p, n:]
+    return found
 
 
 def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Filter:

@@ -23,7 +23,8 @@ Read the modules in this order:
 2. ``trigger``: quadratic forms, and tables that a discrete state selects.
 3. ``steps``: the policy steps, and discrete states with their cycle.
 4. ``theory`` and ``policy``: proven properties of a policy, such as its guarantee, and the policy itself with the
-   limits of links on the intervals between sends. ``set_points``: how a policy limits its set-points. ``silence``: the
+   limits of links on the intervals between sends. ``expected``: the measurements that its nodes predict.
+   ``set_points``: how a policy limits its set-points. ``silence``: the
    cost of silence that running nodes measure.
    ``diagram``: its nodes and links, with the ``rule`` by which a link sends, in ``words``.
 5. ``information`` and ``coverage``: the check that a node reads only available signals, and the properties that a

@@ -14,7 +14,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
-from typing import Any, cast
+from itertools import product
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -116,6 +117,34 @@ def stationary(turns: Array) -> Array:
     s = len(turns)
     equations = np.vstack([turns.T - np.eye(s), np.ones((1, s))])
     return np.asarray(np.linalg.lstsq(equations, np.append(np.zeros(s), 1.0), rcond=None)[0], dtype=np.float64)
+
+
+class Chances(NamedTuple):
+    """The cases of a step in which several things fail or not, and a Markov chain by which their chances depend on the
+    steps before.
+    """
+
+    cases: list[tuple[bool, ...]]  # whether each of them fails
+    turns: Array  # transition probabilities between the states, (states, states)
+    shares: Array  # share of the steps in each state, (states,)
+    odds: Array  # probability of each case in each state, (states, cases)
+
+
+def together(laws: Sequence[tuple[Array, Array]]) -> Chances:
+    """Return the cases of independent laws, each given by transition probabilities and the chance of a failure."""
+    turns: Array = np.ones((1, 1))
+    shares: Array = np.ones(1)
+    chances: list[tuple[float, ...]] = [()]
+    for own, drops in laws:
+        turns = np.asarray(np.kron(turns, own), dtype=np.float64)
+        shares = np.asarray(np.kron(shares, stationary(own)), dtype=np.float64)
+        chances = [(*before, drop) for before in chances for drop in drops.tolist()]
+    cases = list(product((False, True), repeat=len(laws)))
+    odds = [
+        [float(np.prod([p if fails else 1 - p for p, fails in zip(state, case, strict=True)])) for case in cases]
+        for state in chances
+    ]
+    return Chances(cases, turns, shares, np.array(odds))
 
 
 def _pick(chances_of_states: Array, chances: Array | float) -> Array:

@@ -497,6 +497,11 @@ class Network(Displayed):
         burst = self.burst(link)
         return (np.ones((1, 1)), np.array([self.loss(link)])) if burst is None else (burst.turns, burst.losses)
 
+    def chain_of_samples(self, node: str) -> tuple[Array, Array]:
+        """Return the same for the samples of a node: transition matrix, and probability that a sample is missing."""
+        law = self.missing.get(node, 0.0)
+        return (law.turns, law.losses) if isinstance(law, LossLaw) else (np.ones((1, 1)), np.array([law]))
+
     def with_laws(self, changes: Mapping[str, Any]) -> Network:
         """Return a copy of the network with changed properties of all links, such as ``loss`` or ``payload``."""
         return self.changed(dict.fromkeys(self.links, changes))

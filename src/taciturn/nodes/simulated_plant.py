@@ -15,12 +15,13 @@ from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.expected import sensed_by
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import REFERENCE
 from taciturn.model.wire import fits
 from taciturn.nodes.node import Measurement
 from taciturn.program.ir import Program
-from taciturn.program.missing import SAMPLED, sensed_by
+from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import is_entry
 from taciturn.program.python import CompiledStep, compile_python
 from taciturn.program.translation import sample_state

@@ -20,6 +20,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, flag, instance, quoted
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.expected import predicted_outputs, sensed_by
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.policy import Policy, with_intervals
@@ -41,7 +42,7 @@ from taciturn.program.all_nodes import (
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.manual import BY_HAND, MANUAL, not_operable, operation_of
-from taciturn.program.missing import known_of, predicted_outputs, sensed_by
+from taciturn.program.missing import known_of
 from taciturn.program.ops import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.program.translation import APPLIED, link_state

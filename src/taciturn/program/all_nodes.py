@@ -19,6 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.expected import sensed_by
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import HELD, Policy
@@ -28,7 +29,7 @@ from taciturn.model.steps import ONE, Assign, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
 from taciturn.program.manual import OperatedStep, operation_of
-from taciturn.program.missing import complete, held_samples, known_of, sensed_by
+from taciturn.program.missing import complete, held_samples, known_of
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
 from taciturn.program.translation import (

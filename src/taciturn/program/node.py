@@ -24,6 +24,7 @@ from typing import Literal, NamedTuple
 
 from taciturn.errors import ProblemError
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.expected import sensed_by
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import is_acknowledged, told_by
 from taciturn.model.policy import Policy
@@ -44,7 +45,7 @@ from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
 from taciturn.program.manual import BY_HAND, MANUAL, OperatedStep, operation_of
-from taciturn.program.missing import complete, held_samples, known_of, sensed_by
+from taciturn.program.missing import complete, held_samples, known_of
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
 from taciturn.program.translation import APPLIED, Operands, Payloads, encode_payloads, first_input
 

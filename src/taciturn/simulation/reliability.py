@@ -53,8 +53,8 @@ def expect_arrivals(loop: Loop) -> None:
     found = outcomes(loop)
     if found is not None and not found.decides and (growth := found.growth(2)) >= 1:
         raise UnstableError(
-            f"the loop of the policy {loop.policy.kind} diverges: with these losses, the mean square of its state "
-            f"grows by a factor of {growth:.6g} per step; expected smaller loss probabilities"
+            f"the loop of the policy {loop.policy.kind} diverges: with these {found.reason}, the mean square of its "
+            f"state grows by a factor of {growth:.6g} per step; expected smaller probabilities"
         )
 
 
@@ -129,20 +129,20 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
     if found is None and known is not None and known >= 1 and loop.deviations.nominal:
         every = loop.deviations.policy.theory.every
         sent = " if every packet is sent" if every == 1 else f" if a packet is sent once in {every} steps"
-        return (_infinite(known, sent, discounted),)
+        return (_infinite(known, sent, discounted, "losses"),)
     if found is None or (growth := alpha**2 * found.growth(4)) < 1:
         return ()
     if found.decides and (square := alpha * found.growth(2)) >= 1:
         return (
-            f"with these losses the {discounted}mean square would grow by a factor of {square:.4g} per step if every "
-            "packet were sent: the cost is probably infinite, and this average depends on the simulated time",
+            f"with these {found.reason} the {discounted}mean square would grow by a factor of {square:.4g} per step if "
+            "every packet were sent: the cost is probably infinite, and this average depends on the simulated time",
         )
-    return (_infinite(growth, " if every packet is sent" if found.decides else "", discounted),)
+    return (_infinite(growth, " if every packet is sent" if found.decides else "", discounted, found.reason),)
 
 
-def _infinite(growth: float, sent: str, discounted: str) -> str:
+def _infinite(growth: float, sent: str, discounted: str, reason: str) -> str:
     return (
-        f"the variance of the cost is infinite: with these losses the {discounted}squared cost grows by a factor of "
+        f"the variance of the cost is infinite: with these {reason} the {discounted}squared cost grows by a factor of "
         f"{growth:.4g} per step{sent}. So the standard error is meaningless, and the average is probably too small"
     )
 

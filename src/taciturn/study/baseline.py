@@ -9,7 +9,7 @@ Its cost J_every is, in this order,
 
 1. the number of the theory, if the loop is the one of the design,
 2. exact, if the baseline is a linear loop, also on another plant: by its Lyapunov equation or, over links that drop
-   packets, by the second moments of its jump linear map,
+   packets or with missing samples, by the second moments of its jump linear map,
 3. simulated on the random numbers of the loop itself, so that the error of the excess J/J_every − 1 is that of a pair.
 
 A controller that amplifies noise may cost more the more often it sends. Then a policy costs less than its baseline, and
@@ -143,9 +143,9 @@ def _exact(every: Loop) -> float | None:
     """Return the exact cost of a loop that sends every sample, or None if it is not known."""
     plant, network = every.problem.plant, every.network
     ramped = plant.changes is not None and plant.changes.exceed  # set-points that the controller limits
-    if plant.saturation is not None or ramped or network.rounded or network.missing or every.horizon is not None:
+    if plant.saturation is not None or ramped or network.rounded or every.horizon is not None:
         return None
-    if network.ideal:
+    if network.ideal and not network.missing:
         known = with_every_sample(every)
         return None if known is None else every.problem.per_unit(known.cost)
     if plant.function is not None or plant.changes is not None or every.problem.plant.exosystem is not None:

@@ -27,7 +27,7 @@ from math import sqrt
 from typing import Literal, TypeAlias
 
 from taciturn._arrays import choice, flag
-from taciturn.analyse.switched import MOST_LINKS, outcomes
+from taciturn.analyse.switched import MOST_LAWS, outcomes
 from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
 from taciturn.base.nominal import Nominal
@@ -56,7 +56,7 @@ UNHEARD = (
     "guarantee holds"
 )
 ATTEMPTS = "J_all is the cost of an attempt on every link in every step"
-TOO_MANY = f"J_all is the cost without losses, because more than {MOST_LINKS} links drop packets"
+TOO_MANY = f"J_all is the cost without losses, because more than {MOST_LAWS} links drop packets"
 
 
 Claim: TypeAlias = Literal["average", "every path"]
@@ -179,7 +179,7 @@ def distributed(
             f"{network.lost(lossy[0])} is given together with disturbances or set-points, and the effect of a dropped "
             "packet grows with them; expected links that deliver every packet, or neither disturbances nor set-points"
         )
-    if 0 < len(lossy) <= MOST_LINKS:
+    if 0 < len(lossy) <= MOST_LAWS:
         all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)
@@ -242,7 +242,7 @@ def _policy(
         # nodes at another place do not use each other's signals, so each of them runs by itself
         sites=network.sites_of_controller,
         network=network,
-        notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LINKS else TOO_MANY}",)
+        notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LAWS else TOO_MANY}",)
         if lossy
         else (),
         unsure=any(network.nodes[link].applies and not network.acknowledges(link) for link in lossy),
