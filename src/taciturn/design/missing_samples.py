@@ -25,6 +25,8 @@ from taciturn.model.policy import ESTIMATE, Policy
 from taciturn.model.steps import Assign, Evaluate, Step
 from taciturn.model.theory import INNOVATION
 
+NOTE = "the filter has the best constant gain for samples that are missing at random"
+
 
 def for_missing_samples(policy: Policy, network: Network) -> Policy:
     """Return the policy with the gain of its filter for the missing samples of a network.
@@ -32,7 +34,7 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
     Raises:
         UnstableError: with so many missing samples, the error of the estimate grows without limit.
     """
-    if not network.missing:
+    if not network.missing or NOTE in policy.notes:
         return policy
     found = replace(policy, network=replace(policy.network, missing=network.missing))
     corrections = [i for i, step in enumerate(policy.steps) if _corrects(step)]
@@ -53,7 +55,7 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
     for i, step in enumerate(steps):
         if isinstance(step, Evaluate) and step.signal == SURPRISE:
             steps[i] = surprise(INNOVATION, covariance, step.at, p)
-    return replace(found, steps=tuple(steps))
+    return replace(found, steps=tuple(steps), notes=(*policy.notes, NOTE))
 
 
 def _corrects(step: Step) -> bool:
