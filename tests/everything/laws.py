@@ -75,6 +75,7 @@ class Nodes:
         laws: the laws of the links by the name of the node.
         named: whether the file names nodes.
         delay: of computations.
+        missing: laws of the missing samples by the name of the node.
     """
 
     sensors: Mapping[str, list[int]]
@@ -82,6 +83,7 @@ class Nodes:
     laws: Mapping[str, Law]
     named: bool
     delay: int = 0
+    missing: Mapping[str, Law] = field(default_factory=dict)
 
     @property
     def lossy(self) -> bool:
@@ -92,9 +94,8 @@ class Nodes:
 def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
     """Return the nodes of a file; without names both links of the triangle exist, and the kind uses what it uses."""
     table, links = tables.get("network", {}), tables.get("links", {})
-    if any("missing" in law for law in links.values()):
-        raise NotModelledError("missing samples")
     delay = table.get("delay", 0)
+    missing = {name: samples_of(one["missing"]) for name, one in links.items() if "missing" in one}
     if "nodes" not in tables:
         told = table.get("protocol", "ideal") == "tcp"
         laws = {
@@ -102,7 +103,7 @@ def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
                         links.get(one, {}))
             for one in ("sensor", "actuator")
         }  # fmt: skip
-        return Nodes({"sensor": list(range(outputs))}, {"actuator": list(range(inputs))}, laws, False, delay)
+        return Nodes({"sensor": list(range(outputs))}, {"actuator": list(range(inputs))}, laws, False, delay, missing)
     sensors, actuators, laws = {}, {}, {}
     center = next(name for name, role in tables["nodes"].items() if role.get("controls"))
     for name, role in tables["nodes"].items():
@@ -115,7 +116,68 @@ def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
             laws[name] = law_of(own.get("loss", 0.0), own.get("burst"), own.get("acknowledged", not lost), own)
             if role.get("site") is not None:
                 raise NotModelledError("nodes that share a place")
-    return Nodes(sensors, actuators, laws, True, delay)
+    return Nodes(sensors, actuators, laws, True, delay, missing)
+
+
+def samples_of(law: float | Tables) -> Law:
+    """Return the law of missing samples: a probability, or a table like that of bursts."""
+    return law_of(0.0, law, True, {}) if isinstance(law, Mapping) else law_of(law, None, True, {})
+
+
+class Samples:
+    """The samples of all outputs on many paths, some of which are missing: one channel for each node with a law."""
+
+    def __init__(self, nodes: Nodes, outputs: int) -> None:
+        """Keep the laws, each with its outputs."""
+        self.outputs, self.laws = outputs, [(law, nodes.sensors[name]) for name, law in nodes.missing.items()]
+
+    def start(self, paths: int, rng: np.random.Generator) -> None:
+        """Begin."""
+        self.channels = [Channel(law, paths, rng) for law, _ in self.laws]
+        self.paths = paths
+
+    def known(self) -> Array:
+        """Return which outputs are measured in this step, on each path."""
+        found = np.ones((self.paths, self.outputs), dtype=bool)
+        for channel, (_, own) in zip(self.channels, self.laws, strict=True):
+            found[:, own] = channel.arrives(np.ones(self.paths, dtype=bool))[:, None]
+        return found
+
+    def gain(self, A: Array, C: Array, W: Array, V: Array) -> tuple[Array, Array]:
+        """Return the best constant gain of a filter, and the mean covariance of its innovations, 0 where unknown.
+
+        The covariance of the prediction's error while the channels are in a state, times the share of that state,
+        moves with the chain of all channels; the gain minimises the sum of these covariances after a step.
+        """
+        moves, shares, cases = np.eye(1), np.ones(1), [(np.ones(1), np.ones(self.outputs))]
+        for law, own in self.laws:
+            gone = np.ones(self.outputs)
+            gone[own] = 0.0
+            cases = [
+                (np.kron(chance, one), seen * mask)
+                for chance, seen in cases
+                for one, mask in ((1 - law.drops, np.ones(self.outputs)), (law.drops, gone))
+            ]
+            moves, shares = np.kron(moves, law.moves), np.kron(shares, law.stationary)
+        P = [share * (W + np.eye(len(A))) for share in shares]
+        for _ in range(200_000):
+            cross, S = np.zeros(C.T.shape), np.zeros((len(C), len(C)))
+            for chance, seen in cases:
+                for p, share, one in zip(chance, shares, P, strict=True):
+                    cross += p * one @ C.T * seen
+                    S += p * np.outer(seen, seen) * (C @ one @ C.T + share * V)
+            gain = cross @ np.linalg.pinv(S, hermitian=True)
+            moved = [share * W for share in shares]
+            for chance, seen in cases:
+                for i, p in enumerate(chance):
+                    G = gain * seen
+                    left = np.eye(len(A)) - G @ C
+                    moved[i] = moved[i] + p * A @ (left @ P[i] @ left.T + shares[i] * G @ V @ G.T) @ A.T
+            new = [sum(moves[i, j] * moved[i] for i in range(len(P))) for j in range(len(P))]
+            if np.abs(np.array(new) - np.array(P)).max() <= 1e-12 * np.abs(new).max():
+                return gain, S
+            P = new
+        raise NotModelledError("missing samples with which the error of a filter does not settle")
 
 
 class Channel:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from everything.laws import Channel, Law, nodes_of
+from everything.laws import Channel, Law, Nodes, Samples, nodes_of
 from everything.plain import Array, Controller, Model, NotModelledError, kalman, measure_update, regulator, riccati
 
 Tables = Mapping[str, Any]
@@ -36,7 +36,22 @@ class Certainty:
         self.law = law or Law()
         self.exact: float | None = None
         self.nominal = 0.0  # the exact cost of the linear plant
+        self.samples: Samples | None = None  # None: none is missing
         self._design()
+
+    def miss(self, samples: Samples) -> None:
+        """Let samples be missing: another gain, and no exact cost."""
+        model, self.samples, self.exact = self.model, samples, None
+        if not model.average:
+            return
+        if model.V is None:
+            if model.q:
+                raise NotModelledError("missing samples of a measured state with disturbances")
+            return
+        free = np.flatnonzero(np.arange(len(model.A)) < model.known.start)
+        parts = model.A[np.ix_(free, free)], model.C[:, free], model.W[np.ix_(free, free)], model.V
+        self.gains = [np.zeros_like(self.gains[0])]
+        self.gains[0][free] = samples.gain(*parts)[0]
 
     def _design(self) -> None:
         model, n = self.model, self.model.n
@@ -143,6 +158,8 @@ class Certainty:
         model = self.model
         self.rng, self.k = rng, 0
         self.channel = Channel(self.law, paths, rng)
+        if self.samples is not None:
+            self.samples.start(paths, rng)
         self.prior = np.zeros((paths, len(model.A)))
         if not model.average:
             self.prior[:, : model.n] = model.mean
@@ -162,6 +179,8 @@ class Certainty:
         self.L, self.H = self.at(self.Ls), self.at(self.Hs)
         if model.s:
             self.prior[:, model.known] = r
+        if self.samples is not None:  # a missing sample is the predicted one
+            y = np.where(self.samples.known(), y, self.prior @ model.C.T)
         if model.V is None and not model.q + model.s:
             self.estimate = y
         else:
@@ -382,13 +401,25 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
     Raises:
         NotModelledError: the kind, or what is stated beside it, is not modelled here.
     """
+    nodes = nodes_of(tables, len(model.C), model.m)
+    own, twin = _policy_of(tables, model, nodes, all_time)
+    if not nodes.missing:
+        return own, twin
+    if not hasattr(own, "miss"):
+        raise NotModelledError("missing samples of this kind")
+    own.miss(Samples(nodes, len(model.C)))
+    return own, None  # no common noise where samples are missing by chance
+
+
+def _policy_of(
+    tables: Tables, model: Model, nodes: Nodes, all_time: float | None
+) -> tuple[Controller, Controller | None]:
     from everything.clocked import clocked_policy
     from everything.kept import EVENTS, kept_policy
     from everything.nodes import node_policy
     from everything.remote import remote_policy
 
     policy, kind = tables["policy"], tables["policy"]["kind"]
-    nodes = nodes_of(tables, len(model.C), model.m)
     if kind in ("remote-lqg", "lossy-lqg"):
         return remote_policy(tables, model, nodes)
     wired = all(name not in nodes.laws for name in nodes.sensors) if nodes.named else True

@@ -269,6 +269,7 @@ class Problem(Displayed):
         else:
             given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
             given |= {"[[disturbance]] with a load": bool(self.plant.loads)}
+            given |= {f"links.{node}.missing": True for node in self.network.missing}
             policy.refuse(given | {" or ".join(IDEAL_LINK.intervals): self.network.limited})
         return policy
 
