@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import nan
 from typing import Any
 
@@ -18,11 +19,14 @@ from taciturn.loop import Loop
 from taciturn.model.losses import Burst
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.packets import inputs_at, outputs_at, roles
+from taciturn.model.steps import Apply, Assign, assigned
+from taciturn.model.theory import Theory
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.problem import Problem, parse
+from taciturn.program.gap import response_to
 from taciturn.simulation.trajectory import simulate
 from taciturn_udp.nodes import BLIND, NodeServer
 from taciturn_worlds.devices import DeviceNode, compile_devices
@@ -43,10 +47,19 @@ def problem(policy: Mapping[str, object], **tables: Any) -> Problem:
 def with_pid(policy: Mapping[str, object], **tables: Any) -> Problem:
     """Return a problem with a PID controller."""
     cost = {"Q": [[1.0]], "R": [[0.1]]}
-    return problem(policy, plant=SLOW, cost=cost, controller=PID, **tables)
+    return problem(policy, **{"plant": SLOW, "cost": cost, "controller": PID, **tables})
 
 
+WIRED = {"sensor": {"measures": True, "site": "plc"}, "plc": {"controls": True}, "pump": {"applies": True}}
+BRIDGED = {
+    "periodic": lambda: with_pid({"kind": "periodic", "every": 1}),
+    "every second step": lambda: with_pid({"kind": "periodic", "every": 2}),
+    "all-time": lambda: with_pid({"kind": "all-time"}),
+    "wired sensor": lambda: with_pid({"kind": "distributed", "theta": 1e-9}, nodes=WIRED),
+    "dead band of the actuator": lambda: with_pid({"kind": "send-on-delta", "delta": 1e-9}, nodes=WIRED),
+}
 PROBLEMS = {
+    "periodic": BRIDGED["periodic"],
     "lqg": lambda: problem({"kind": "lqg", "theta": 0.3}),
     "pid": lambda: with_pid({"kind": "excess", "theta": 0.1}),
     "dead band": lambda: with_pid({"kind": "event-pid", "delta": 0.1}),
@@ -405,3 +418,129 @@ def test_loops_without_the_law_keep_their_programs() -> None:
     """No operation is added to a simulation in which no sample is missing."""
     loop: Loop = taciturn.load("two-mass-lqg").close(taciturn.load("two-mass-lqg").design())
     assert not any("last y" in state.name or "sampled" in state.name for state in loop.program().states)
+
+
+@pytest.mark.parametrize("name", BRIDGED)
+def test_after_a_gap_on_a_line_a_controller_goes_on_as_without_it(name: str) -> None:
+    """In all nodes as one and in one of its own: the inputs and memories are those without the gap, to rounding."""
+    one = BRIDGED[name]()
+    policy, samples = one.design(), 0.3 + 0.07 * np.arange(30)
+    role = next(role for role in roles(policy) if policy.network.controller in role.split("+"))
+    inputs, memories = list[np.ndarray](), list[Mapping[str, list[float]]]()
+    for gap in (range(0), range(9, 16)):
+        nodes, alone = Nodes(one), Node(policy, role, network=one.network)
+        inputs.append(np.zeros(len(samples)))
+        for k, y in enumerate(samples):
+            given = [None if k in gap else y]
+            inputs[-1][k] = nodes.step(given)[0]
+            alone.step(k, given)
+            if k == 15:
+                assert max(alone.memory["response to a line of y"]) == pytest.approx(28.0 if gap else 0.0)
+        memories.append(alone.memory)
+    assert abs(inputs[1][9:16] - inputs[0][9:16]).max() > 0.05
+    np.testing.assert_allclose(inputs[1][17:], inputs[0][17:], atol=1e-12)
+    for signal, values in memories[0].items():
+        assert memories[1][signal] == pytest.approx(values, abs=1e-12)
+
+
+def test_a_node_in_c_goes_on_after_gaps_as_one_in_python() -> None:
+    """Bit for bit with random gaps, also one that is saved within a gap and restored."""
+    if shutil.which("cc") is None:
+        pytest.skip("NOT SHOWN: a node in C needs a compiler, and there is no `cc`")
+    one = BRIDGED["periodic"]()
+    policy, draws = one.design(), np.random.default_rng(7)
+    make = compile_devices(one.close(policy))["controller"]
+    device = make(policy, "controller", network=one.network, epoch=0, seed=0, watchdog=None, safe="hold")
+    host, bridged = Node(policy, "controller"), 0
+    for tick in range(60):
+        given = [None] if draws.random() < 0.5 else list(draws.standard_normal(1))
+        bridged += given != [None] and host.memory["missing samples of y"] != [0.0]
+        assert [p.values for p in device.step(tick, given)[0]] == [p.values for p in host.step(tick, given)[0]]
+        assert device.memory == host.memory
+        if tick % 5 == 0:
+            again, saved = Node(policy, "controller"), device.save()
+            again.restore(host.save())
+            device.step(tick + 1, [9.0])
+            device.restore(saved)
+            host = again
+    assert bridged > 10
+
+
+def interpolated(samples: Sequence[Sequence[float | None]], first: np.ndarray) -> np.ndarray:
+    """Return what a controller should have read up to now: lines over gaps, and the last sample within one."""
+    found = np.array([[nan if value is None else value for value in row] for row in samples])
+    for column, begun in zip(found.T, first, strict=True):
+        known = np.flatnonzero(~np.isnan(column))
+        places = np.concatenate([[-1], known])
+        column[:] = np.interp(np.arange(len(column)), places, np.concatenate([[begun], column[known]]))
+    return found
+
+
+def test_a_controller_after_gaps_is_that_of_interpolated_samples_against_numpy() -> None:
+    """Two outputs with gaps of their own, a register among the states, and feedback of the inputs that were applied."""
+    draws = np.random.default_rng(11)
+    given = {
+        "A": [[0.7, 0.1, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 0.0]],
+        "B": [[0.3, 0.0], [0.0, -0.2], [0.0, 1.0]],
+        "C": [[0.2, -0.1, 0.05], [0.0, 0.1, 0.1]],
+        "D": [[-0.1, 0.0], [0.05, -0.2]],
+        "E": [[0.1, 0.0], [0.0, 0.2], [0.0, 0.0]],
+    }
+    plant = {"A": [[0.8, 0.1], [0.0, 0.7]], "B": np.eye(2).tolist(), "C": np.eye(2).tolist(), "dt": 1.0}
+    noise = {"W": (0.1 * np.eye(2)).tolist(), "V": (0.1 * np.eye(2)).tolist(), "initial": {"mean": [0.4, -0.3]}}
+    cost = {"Q": np.eye(2).tolist(), "R": np.eye(2).tolist()}
+    controller = {**given, "sign": "positive", "disturbance": "none"}
+    one = problem({"kind": "periodic", "every": 1}, plant={**plant, **noise}, cost=cost, controller=controller)
+    A, B, C, D, E = (np.array(given[name]) for name in "ABCDE")
+    nodes, samples, inputs = Nodes(one), list[list[float | None]](), list[np.ndarray]()
+    for _ in range(50):
+        samples.append([None if draws.random() < 0.6 else float(draws.standard_normal()) for _ in range(2)])
+        z, read = np.zeros(3), interpolated(samples, np.array([0.4, -0.3]))
+        for y, u in zip(read, inputs, strict=False):
+            z = A @ z + B @ y + E @ u
+        inputs.append(nodes.step(samples[-1]))
+        np.testing.assert_allclose(inputs[-1], C @ z + D @ read[-1], atol=1e-12)
+
+
+def test_manual_inputs_within_a_gap_end_without_a_jump() -> None:
+    """The sample comes back in manual operation; the first automatic command is the last manual input."""
+    nodes = Nodes(BRIDGED["periodic"]())
+    for k in range(40):
+        y = None if 5 <= k < 20 else [0.2 * min(k, 20)]
+        u = nodes.step(y, manual=[-0.7] if 8 <= k < 35 else None)
+        if k == 35:
+            assert u[0] == pytest.approx(-0.7, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: with_pid({"kind": "excess", "theta": 0.1}),
+        lambda: with_pid({"kind": "event-pid", "delta": 0.1}),
+        lambda: with_pid({"kind": "send-on-delta", "delta": 0.1}),
+        lambda: with_pid({"kind": "symmetric-send-on-delta", "delta": 0.1}, controller={"pid": {"kp": 0.5, "ki": 0.1}}),
+        lambda: taciturn.load("quadruple-tank"),
+    ],
+    ids=["filter", "event-pid", "dead band", "levels", "local filters"],
+)
+def test_nodes_that_predict_or_only_send_have_no_memory_of_gaps(make: Callable[[], Problem]) -> None:
+    """Nor has a controller that hears of a sensor by packets."""
+    one = make()
+    policy = one.design()
+    for role in roles(policy):
+        assert not any("line" in name or "missing" in name for name in Node(policy, role, network=one.network).memory)
+
+
+def test_a_memory_that_does_not_respond_linearly_keeps_its_value() -> None:
+    """A function in the step of the controller's state, and all that reads it; the same step as a sum is corrected."""
+    policy = BRIDGED["periodic"]().design()
+    assert [len(found.E) for found in response_to(policy, "y")] == [2]
+    update = next(step for step in policy.steps if "next register" in assigned(step))
+    assert isinstance(update, Assign)
+    curved = Apply(update.at, {"next register": 2}, lambda z, y: np.tanh(z) + y[0], ("register", "measured"))
+    copied = Assign(update.at, "copy", {"next register": np.eye(2), "copy": 0.5 * np.eye(2)})
+    counted = Assign(update.at, "count", {"count": [[0.5]], "y": [[2.0]]})
+    steps = tuple(curved if step is update else step for step in policy.steps)
+    assert response_to(replace(policy, steps=steps, theory=Theory()), "y") == ()
+    (found,) = response_to(replace(policy, steps=(*steps, copied, counted), theory=Theory()), "y")
+    assert (found.memories, found.F.tolist(), found.E.tolist()) == ((("count", 0),), [[0.5]], [2.0])

@@ -30,7 +30,8 @@ Read the modules in this order:
 1. ``ops`` and ``ir``: the operations, ``Program``, and ``Builder``, which simplifies and merges.
 2. ``translation``: translates policy steps to operations. ``node`` (one site, with packets as inputs, in up to two
    parts per step) and ``all_nodes`` (all nodes and links of a policy) use it, ``missing``, which replaces samples
-   that are missing, and ``manual``, which replaces commands. ``taciturn.loop`` adds the plant.
+   that are missing, ``gap``, which corrects a controller after them, and ``manual``, which replaces commands.
+   ``taciturn.loop`` adds the plant.
 3. ``numpy``: the reference implementation, one operation after the other over all paths.
 4. ``llvm``: vectors with one lane per path, in loops over paths and steps. ``machine`` compiles, caches and runs on
    threads. ``engine`` chooses between LLVM and NumPy.
