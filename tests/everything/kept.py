@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from everything.laws import Channel, Law, Nodes
+from everything.laws import Channel, Law, Nodes, Samples
 from everything.plain import Array, Model, NotModelledError, block, kalman, regulator
 from scipy.stats import chi2
 
@@ -348,6 +348,7 @@ class KeptPolicy:
         self.sends = [k == 0 for steps in cycle for k in range(steps)]
         self.always, self.told, self.base = always, told, base
         self.precision: Array | None = None  # of the innovations, whose squares raise an alarm
+        self.samples: Samples | None = None  # None: none is missing
         # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
         self.approximate = model.continuous and given.deviation is not None
         self.exact = None if base is None or not always else base.exact
@@ -361,6 +362,7 @@ class KeptPolicy:
             assert given.deviation is not None
             W = block(W, np.diag(given.deviation**2 * (1 - given.pole**2)))
         V = np.zeros((len(model.C), len(model.C))) if model.V is None else model.V
+        self.W, self.V = W, V
         if model.V is None and not q:
             self.G = np.eye(n)
         else:
@@ -378,9 +380,39 @@ class KeptPolicy:
         modes = modes[np.abs(modes - given.pole) > 1e-9]  # the disturbance begins in its stationary distribution
         self.radius = float(np.abs(modes).max(initial=0.0))
 
+    def miss(self, samples: Samples) -> None:
+        """Let samples be missing: another gain of a filter, and no exact cost."""
+        model, self.samples, self.exact = self.model, samples, None
+        if self.rule == "cost" and not (model.V is None and not self.q):
+            self.G, covariance = samples.gain(self.F, self.C, self.W, self.V)
+            if self.precision is not None:
+                self.precision = np.linalg.pinv(covariance, hermitian=True)
+
+    def _completed(self, y: Array) -> Array:
+        """Return the measurement with what the node takes for a missing one, and correct the controller after a gap."""
+        assert self.samples is not None
+        known = self.samples.known()
+        if self.rule == "cost":
+            return np.where(known, y, self.prior @ self.C.T)
+        if self.model.V is None and not self.q and self.side == "actuator":  # the model of a measured state
+            return np.where(known, y, self.prior)
+        if self.side == "actuator":
+            # the states of the controller if the samples of the gap had lain on a line, and not on the last one
+            slope = np.where(known, (y - self.seen) / (self.gap + 1), 0.0)
+            self.c = self.c + np.einsum("pnj,pj->pn", self.turned, slope)
+            self.gap = np.where(known, 0, self.gap + 1)
+            grown = np.einsum("nm,pmj->pnj", self.given.A, self.turned) + self.given.B * self.gap[:, None, :]
+            self.turned = np.where(known[:, None, :], 0.0, grown)
+        self.seen = np.where(known, y, self.seen)
+        return self.seen
+
     def start(self, paths: int, rng: np.random.Generator) -> None:
         """Begin."""
         model, given = self.model, self.given
+        if self.samples is not None:
+            self.samples.start(paths, rng)
+        self.seen, self.gap = np.zeros((paths, len(model.C))), np.zeros((paths, len(model.C)), dtype=int)
+        self.turned = np.zeros((paths, len(given.A), len(model.C)))
         self.prior = np.zeros((paths, len(self.F)))
         self.c = np.zeros((paths, len(given.A)))
         size = model.m if self.side == "actuator" else len(model.C)
@@ -400,6 +432,7 @@ class KeptPolicy:
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
         """Make a step; a slow disturbance is added to the input that the plant gets, and moves here."""
         given, size = self.given, len(self.F)
+        y = y if self.samples is None else self._completed(y)
         estimate = self.prior + (y - self.prior @ self.C.T) @ self.G.T
         r = r[:, : self.follows.D.shape[1]]
         read, taken = r @ self.follows.D.T, r @ self.follows.B.T
@@ -514,6 +547,7 @@ class EventPID(KeptPolicy):
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
         """Make a step."""
         pid, h = self.pid, self.seconds
+        y = y if self.samples is None else self._completed(y)
         r = r[:, : self.follows.D.shape[1]] if self.follows.D.shape[1] else np.zeros_like(y)
         last = r if self.last is None else self.last
         wants = (np.abs(y - self.h) > self.level).any(axis=1)
