@@ -44,10 +44,8 @@ class Response:
 
 
 def response_to(policy: Policy, signal: str) -> tuple[Response, ...]:
-    """Return the linear responses of the controller's memories to the outputs in a signal that its site measures."""
-    home = policy.site(policy.network.controller)
-    if policy.measured[signal][0] not in home:
-        return ()
+    """Return the linear responses of the controller's memories to the outputs in a measured signal."""
+    home = policy.site(policy.network.controller)  # its steps read signals of other sites only from packets: none
     walk = _Walk(policy, signal, [step for step in policy.steps if step.at in home])
     names = walk.linear()
     sizes = [policy.sizes[name] for name in names]
