@@ -384,7 +384,9 @@ class Loop(Displayed):
         terminal = self.problem.terminal
         if terminal is None:
             return None
-        x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == name])
+        rows = {(state.name, state.index): row for state, row in zip(program.states, states, strict=True)}
+        # a state of a baseline that equals the state of the loop at every step was merged with it
+        x = np.array([rows.get((name, i), rows.get(("x", i))) for i in range(self.problem.plant.states)])
         x = self.from_final_target(x.T).T
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 

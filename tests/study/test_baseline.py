@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import PID, Cost, Network, Plant, Problem, close, design
+from taciturn import PID, Cost, Disturbance, Network, Plant, Problem, close, design
 from taciturn._arrays import Array
 from taciturn.design.at_fixed_steps import sending_always
 from taciturn.model.estimate import Estimate
@@ -119,6 +119,20 @@ def test_the_pair_agrees_with_two_independent_runs_and_is_more_precise(problem: 
     document = found.document()
     assert document["cost_every_sample"]["method"] == "simulation"
     assert document["excess_percent"]["value"] == pytest.approx(100 * found.excess.value)
+
+
+@pytest.mark.parametrize("third", [[0.0, 0.0, 0.8], [0.0, 0.3, 0.8]], ids=["that equals its own", "of its own"])
+def test_a_state_that_counts_at_the_end_only_is_that_of_the_baseline(third: list[float]) -> None:
+    """Also if no input moves it, so that the loop and its baseline share it."""
+    A, C = [[1.0, 0.1, 0.0], [0.0, 0.9, 0.0], third], np.eye(3)[:2]
+    plant = Plant(A, [[0.0], [0.1], [0.0]], np.diag([1e-4, 4e-4, 0.1]), C, 1e-3 * np.eye(2), dt=0.1)
+    cost = Cost(np.diag([1.0, 0, 0]), [[0.05]], horizon=20, terminal=np.diag([1.0, 1.0, 50.0]))
+    network = Network("udp", actuator_loss=0.1)
+    pid = PID(1.2, ki=0.15, input=1, output=1, disturbance=Disturbance(deviation=0.0))
+    problem = Problem(plant, cost, network, "distributed", {"theta": 2.0}, controller=pid)
+    found, loop = taciturn.evaluate(problem, steps=200_000), problem.close(problem.design())
+    every = replace(loop, policy=sending_always(loop.policy), violated_assumptions=("every sample is sent",))
+    assert agree(found.cost_every_sample, average(every, steps=200_000, seed=5).cost)
 
 
 def test_the_pair_is_of_the_same_runs_over_a_horizon() -> None:

@@ -108,7 +108,8 @@ def join(program: Program, baseline: Loop | None, states: Set[str] = frozenset()
     if baseline is None:
         return program
     other = baseline.whole_program().keep({COST}, states=states)
-    return joined(program, _renamed(other, BASELINE), {OVER: (COST, COST, 0.0)})
+    kept = {*states, *map(BASELINE.format, states)}
+    return joined(program, _renamed(other, BASELINE), {OVER: (COST, COST, 0.0)}, kept)
 
 
 def _renamed(program: Program, form: str) -> Program:

@@ -343,10 +343,16 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     return rebuild(found, lambda builder, op: None, range(len(states))) if chosen else found
 
 
-def joined(first: Program, second: Program, sums: Mapping[Name, tuple[Name | None, Name, float]]) -> Program:
+def joined(
+    first: Program,
+    second: Program,
+    sums: Mapping[Name, tuple[Name | None, Name, float]],
+    states: Set[str] = frozenset(),
+) -> Program:
     """Return two programs as one, with the same inputs and the sums of the first.
 
-    ``sums`` adds sums: a sum of the first, or nothing, minus a sum of the second, plus a constant.
+    ``sums`` adds sums: a sum of the first, or nothing, minus a sum of the second, plus a constant. ``states`` names
+    states that are kept without effect; those that agree with others at every step are merged nevertheless.
     """
     builder, places = Builder(first.precision), list[list[int]]()
     for state in (*first.states, *second.states):  # of different names
@@ -363,24 +369,26 @@ def joined(first: Program, second: Program, sums: Mapping[Name, tuple[Name | Non
     for name, (minuend, subtrahend, constant) in sums.items():
         before = builder.constant(constant) if minuend is None else one[first.sums[minuend]]
         found[name] = builder.emit("sub", before, other[second.sums[subtrahend]])
-    return builder.finish(following, found, {name: one[index] for name, index in first.outputs.items()})
+    outputs = {name: one[index] for name, index in first.outputs.items()}
+    return merge_states(builder.collect(following, found, outputs), states)
 
 
-def merge_states(program: Program) -> Program:
-    """Merge the states of a program that are always equal, and remove states without effect."""
+def merge_states(program: Program, wanted: Set[str] = frozenset()) -> Program:
+    """Merge the states of a program that are always equal, and remove states without effect that are not wanted."""
     leader = _leaders(program)
     while True:
-        found = _pruned(program, leader)
+        found = _pruned(program, leader, wanted)
         if (len(found.states), len(found.ops)) == (len(program.states), len(program.ops)):
             return found
         program, leader = found, _leaders(found)
-        if leader == list(range(len(found.states))) and _necessary(found):
+        if leader == list(range(len(found.states))) and _necessary(found, wanted):
             return found
 
 
-def _necessary(program: Program) -> bool:
-    """Return whether a program without equal states needs all of its states and operations."""
-    alive = _alive(program, range(len(program.states)), set())
+def _necessary(program: Program, wanted: Set[str]) -> bool:
+    """Return whether a program without equal states needs all of its states and operations, but for wanted states."""
+    kept = {i for i, state in enumerate(program.states) if state.name in wanted}
+    alive = _alive(program, range(len(program.states)), kept)
     roots = [*program.following, *program.sums.values(), *program.outputs.values()]
     return len(alive) == len(program.states) and len(needed(program.ops, roots)) == len(program.ops)
 
