@@ -94,7 +94,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--rate", "0.05"], "the rate ranges from 0.20"),
+        pytest.param(["--rate", "0.05"], "the rate ranges from 0.20", marks=pytest.mark.evidence),
         (["--cost", "0.1"], "expected at least 0.733"),
         ([], "expected exactly one budget"),
         (["--rate", "0.3", "--cost", "1"], "expected exactly one budget"),

@@ -54,6 +54,7 @@ def evaluated(folder: Path, command: str) -> dict[str, Any]:
     return json.loads(ran.stdout)
 
 
+@pytest.mark.evidence
 def test_the_dragged_point_has_the_digits_of_evaluate(browser: Any, page: Served, tmp_path: Path) -> None:
     """The point is dragged, a weight is changed, and the file is saved: the command prints the same numbers."""
     tab, errors = opened(browser, page.url)

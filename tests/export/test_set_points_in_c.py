@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from export.devices import Device, Library, compile_checked, compile_node, feed
 from runtime.test_packets import KEY
 
@@ -68,7 +69,7 @@ def prove(device: Device, epoch: int, key: bytes = KEY) -> None:
     assert not device.receive(wire(key).encode(answer_to(asked, epoch, -1)))
 
 
-@pytest.mark.parametrize("key", [None, SECRET], ids=["plain", "keyed"])
+@pytest.mark.parametrize("key", few([None, SECRET], 1))
 def test_set_points_after_lost_packets_break_no_memory(tmp_path: Path, key: bytes | None) -> None:
     """Every access of the exported node is checked, with the sizes of the export; it counts as a node in Python."""
     program, rng = compile_checked(tank().policy, "box", tank().network, tmp_path), np.random.default_rng(1)

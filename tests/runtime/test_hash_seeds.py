@@ -24,11 +24,11 @@ def digests(seed: int, *options: str) -> dict[str, dict[str, str]]:
 
 @pytest.mark.parametrize("options", [(), pytest.param(("--all",), marks=pytest.mark.evidence)], ids=["few", "all"])
 def test_every_process_computes_the_same_digests(options: tuple[str, ...]) -> None:
-    """Under four hash seeds: problems, fingerprints, descriptions of packets, programs, nodes in C, and units.
+    """Under several hash seeds: problems, fingerprints, descriptions of packets, programs, nodes in C, and units.
 
     With ``--all`` of each kind and of the built-in problems.
     """
-    first, *others = (digests(seed, *options) for seed in range(4))
+    first, *others = (digests(seed, *options) for seed in range(4 if options else 2))
     for name, found in first.items():
-        assert [other[name] for other in others] == [found] * 3, name
+        assert [other[name] for other in others] == [found] * len(others), name
     assert len(first["pid"]) == len(first["tank"]) == 6

@@ -111,7 +111,11 @@ def test_bounds_are_those_at_the_rate() -> None:
         ),
         ({"one": MASSES, "other": MASSES.changed({"cost.R": [[1.0]]})}, "differ in [cost]"),
         ({"one": MASSES, "other": MASSES.changed({"plant.V": [[1.0, 0.0], [0.0, 1.0]]})}, "differ in [plant]"),
-        ({"one": MASSES, "far": MASSES.changed({"trigger": "separate"})}, "far: no theta gives lqg the rate 0.3"),
+        pytest.param(
+            {"one": MASSES, "far": MASSES.changed({"trigger": "separate"})},
+            "far: no theta gives lqg the rate 0.3",
+            marks=pytest.mark.evidence,
+        ),
         ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: the changed problem: C or V is given"),
     ],
 )

@@ -278,6 +278,7 @@ def test_a_stored_reference_is_what_the_outputs_follow() -> None:
 UNNAMED = {"plant.input_names": None, "plant.output_names": None, "plant.units": None}
 
 
+@pytest.mark.evidence
 def test_names_of_signals_have_their_units_in_the_figure() -> None:
     """Signals of different units have panels of their own; without names, those of the nodes, or letters."""
     pendulum = taciturn.load("pendulum-by-encoders")

@@ -181,7 +181,7 @@ def overlapping(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return cut + covered
 
 
-@pytest.mark.parametrize("case", few([(name, style) for name in MADE for style in STYLES], 12))
+@pytest.mark.parametrize("case", few([(name, style) for name in MADE for style in STYLES], 5))
 def test_every_result_with_numbers_has_a_legible_picture(
     case: tuple[str, StyleName], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -346,7 +346,7 @@ def test_the_search_is_in_the_document_and_the_answer_lies_on_its_curve() -> Non
     assert min(one["limited"] for one in tried) <= 0.3 <= max(one["limited"] for one in tried)
 
 
-@pytest.mark.parametrize("command", ["evaluate", "tune", "certify"])
+@pytest.mark.parametrize("command", few(["evaluate", "tune", "certify"], 1))
 def test_the_command_line_saves_the_picture(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After the numbers."""
     picture = tmp_path / "picture.svg"

@@ -70,6 +70,7 @@ def test_the_traffic_at_a_cost_is_the_least_of_all_shares(cheapest: Tuned) -> No
     assert sum(cheapest.shares.values()) == pytest.approx(2.0, abs=0.01)
 
 
+@pytest.mark.evidence
 def test_the_cost_at_a_traffic_is_the_least_of_all_shares(cheapest: Tuned, monkeypatch: pytest.MonkeyPatch) -> None:
     """The budget of the traffic that was found gives back the cost, within two errors and a percent of the excess."""
     monkeypatch.setattr(shares, "EFFORT", EFFORT)

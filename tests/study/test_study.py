@@ -65,7 +65,7 @@ def test_a_policy_without_noise_costs_nothing() -> None:
     """W = 0: the deterministic loop decays, and its average cost is 0."""
     plant = taciturn.Plant([[1.3, 0.2], [0.0, 0.7]], [[0.0], [1.0]], np.zeros((2, 2)), mean=[1.0, -1.0])
     problem = taciturn.Problem(plant, taciturn.Cost(np.eye(2), [[1.0]]), taciturn.Network(), "lqg", {"theta": 0.5})
-    found = taciturn.evaluate(problem)
+    found = taciturn.evaluate(problem, steps=100_000)
     assert found.cost.value == pytest.approx(0.0, abs=1e-12)
     assert found.cost_all_time == 0.0
 

@@ -223,7 +223,7 @@ def test_links_have_knobs_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": 0.05}, "the rate ranges from 0.20"),
+        pytest.param(MASSES, {"rate": 0.05}, "the rate ranges from 0.20", marks=pytest.mark.evidence),
         (MASSES, {"cost": 10.0}, "expected a cost within this range"),
         (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "the rate ranges from 0.58"),
         (MASSES, {}, "expected exactly one budget"),
