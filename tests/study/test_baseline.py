@@ -13,6 +13,7 @@ from taciturn import PID, Cost, Disturbance, Network, Plant, Problem, close, des
 from taciturn._arrays import Array
 from taciturn.design.at_fixed_steps import sending_always
 from taciturn.model.estimate import Estimate
+from taciturn.problem import parse
 from taciturn.simulation.average import average
 from taciturn.study.baseline import HALF_DERIVATIVE, LQG, excess_over
 
@@ -119,6 +120,39 @@ def test_the_pair_agrees_with_two_independent_runs_and_is_more_precise(problem: 
     document = found.document()
     assert document["cost_every_sample"]["method"] == "simulation"
     assert document["excess_percent"]["value"] == pytest.approx(100 * found.excess.value)
+
+
+MISSING = {
+    "plant": {"A": [[1.12, 0.2], [0.0, 0.85]], "B": [[0.0], [0.5]], "C": [[1.0, 0.0]], "V": [[0.1]], "dt": 1.0,
+              "W": [[0.02, 0.0], [0.0, 0.05]]},
+    "cost": {"Q": [[1.0, 0.0], [0.0, 0.2]], "R": [[0.3]]},
+}  # fmt: skip
+OWN_NODES = {"s": {"measures": [0], "site": "plc"}, "plc": {"controls": True}, "m": {"applies": [0]}}
+
+
+@pytest.mark.parametrize(
+    ("policy", "nodes"),
+    [
+        ({"kind": "distributed", "theta": 1e-9}, OWN_NODES),
+        ({"kind": "distributed", "theta": 1e-9, "actuation": "model"}, OWN_NODES),
+        ({"kind": "excess", "theta": 1e-9}, {}),
+        ({"kind": "periodic", "every": 2}, {}),
+    ],
+    ids=["distributed", "distributed, model", "excess", "periodic"],
+)
+def test_the_baseline_predicts_missing_samples_as_the_loop_does(policy: dict[str, Any], nodes: dict[str, Any]) -> None:
+    """A loop that hardly saves a packet costs what its baseline does; fixed steps have the gain for the law."""
+    tables = {"nodes": nodes} if nodes else {}
+    name = "s" if nodes else "sensor"
+    problem = parse({**MISSING, "policy": policy, **tables, "links": {name: {"missing": 0.3}}}, "a problem")
+    found = taciturn.evaluate(problem, steps=STEPS_OF_A_TEST)
+    if policy["kind"] == "periodic":
+        best = taciturn.evaluate(problem.changed({"kind": "all-time", "every": None}), steps=2000)
+        assert found.cost_every_sample == best.cost_every_sample
+        return
+    assert agree(found.cost_every_sample, found.cost)
+    assert found.clock is None
+    assert "samples are missing at random" in found.no_clock
 
 
 @pytest.mark.parametrize("third", [[0.0, 0.0, 0.8], [0.0, 0.3, 0.8]], ids=["that equals its own", "of its own"])

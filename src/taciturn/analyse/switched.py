@@ -414,6 +414,7 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
         "disturbances or set-points are given": EXOSYSTEM,
         f"the {links[0] if links else ''} link drops packets": LOSSES | BURSTS,
         f"packets contain rounded numbers ({loop.network.payload})": ROUNDING,
+        "samples are missing at random (links.NAME.missing)": SAMPLES,
     }
     found = [text for text, names in known.items() if ONE in names or not names.isdisjoint(missing)]
     for text in (*found, *(f"{name} is given" for name in missing)):

@@ -74,6 +74,7 @@ from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Step, assigned
 from taciturn.model.theory import Innovations
 
+BESIDE_LQG = "LQG with these weights and every sample costs"  # begins a note on the loop of the design
 MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
 LASTING = 1e-9  # a mode whose modulus is 1 up to this does not decay
 REMEDY = "check the sign of the controller (feedback is u = −K y), its gains, and its step"
@@ -409,7 +410,7 @@ class GivenLoop(Displayed):
         if abs(self.cost_lqg - cost) <= 1e-9 * cost:
             return []
         share = (self.cost_lqg - noise) / (cost - noise)
-        return [f"LQG with these weights and every sample costs {share:.3f} times as much as this controller"]
+        return [f"{BESIDE_LQG} {share:.3f} times as much as this controller"]
 
     def nominal(
         self,

@@ -40,7 +40,7 @@ from taciturn.model.coverage import THEORY
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.signals import SampledChanges
-from taciturn.model.steps import Assign, Decide, Draw, Evaluate, Location, Received, Send, Step, assigned, read
+from taciturn.model.steps import Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step, assigned, read
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
@@ -177,9 +177,12 @@ def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:
         }
         steps.append(Decide(step.at, step.decision, Trigger(forms)))
     known = policy.theory
+    # which state how nodes predict missing samples
+    innovations = None if any(isinstance(step, Apply) for step in steps) else known.innovations
     theory = Theory(
-        known.cost, known.cost_all_time, known.noise_cost, known.settling, sums=known.sums, recovery=known.recovery
-    )
+        known.cost, known.cost_all_time, known.noise_cost, known.settling, sums=known.sums, recovery=known.recovery,
+        innovations=innovations,
+    )  # fmt: skip
     counter = () if length == 1 else (Location(TIMETABLE, np.roll(np.arange(length), -1)),)
     return replace(policy, steps=tuple(steps), theory=theory, locations=(*policy.locations, *counter), notes=())
 

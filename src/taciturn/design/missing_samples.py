@@ -15,6 +15,7 @@ from typing import cast
 
 import numpy as np
 
+from taciturn.base.given_controller import BESIDE_LQG
 from taciturn.design.silence import SURPRISE, surprise
 from taciturn.lqg.kalman import filter_sampled, taken_over
 from taciturn.lqg.missing_samples import gain_for_missing
@@ -25,7 +26,7 @@ from taciturn.model.policy import ESTIMATE, Policy
 from taciturn.model.steps import Assign, Evaluate, Step
 from taciturn.model.theory import INNOVATION
 
-NOTE = "the filter has the best constant gain for samples that are missing at random"
+NOTE = "the gain of the filter is the one for the stated law of missing samples"
 
 
 def for_missing_samples(policy: Policy, network: Network) -> Policy:
@@ -36,7 +37,9 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
     """
     if not network.missing or NOTE in policy.notes:
         return policy
-    found = replace(policy, network=replace(policy.network, missing=network.missing))
+    # a comparison with LQG is one without missing samples
+    notes = tuple(note for note in policy.notes if not note.startswith(BESIDE_LQG))
+    found = replace(policy, network=replace(policy.network, missing=network.missing), notes=notes)
     corrections = [i for i, step in enumerate(policy.steps) if _corrects(step)]
     laws, model = _laws(policy, network), policy.model
     if laws is None or not corrections:
@@ -55,7 +58,7 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
     for i, step in enumerate(steps):
         if isinstance(step, Evaluate) and step.signal == SURPRISE:
             steps[i] = surprise(INNOVATION, covariance, step.at, p)
-    return replace(found, steps=tuple(steps), notes=(*policy.notes, NOTE))
+    return replace(found, steps=tuple(steps), notes=(*notes, NOTE))
 
 
 def _corrects(step: Step) -> bool:

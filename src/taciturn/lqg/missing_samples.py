@@ -67,10 +67,10 @@ def gain_for_missing(
         if float(np.abs(after - P).max()) <= SAME * size:
             return _rounded(gain), mean
         P = after
-    share = 1 - float(shares @ M.min(axis=1))
+    share = 1 - float((shares @ M).min())
     raise UnstableError(
-        f"{share:.3g} of the samples of an output are missing, so the error of the estimate grows without limit or "
-        "settles too slowly; expected a smaller probability (missing), or shorter bursts"
+        f"{100 * share:.6g} % of the samples of an output are missing, so the error of the estimate grows without "
+        "limit or settles too slowly; expected a smaller probability (links.NAME.missing), or shorter bursts"
     )
 
 

@@ -287,6 +287,7 @@ class Network(Displayed):
 
     def _checked_samples(self, missing: Mapping[str, float | LossLaw]) -> dict[str, float | LossLaw]:
         """Return the laws by which samples are missing, without those by which none is missing."""
+        instance("missing", missing, Mapping)
         found = dict[str, float | LossLaw]()
         for name, law in missing.items():
             key = f"links.{name}.missing"

@@ -418,8 +418,8 @@ class Node:
             found = tuple(0.0 if value is None else float(value) for value in listed)
         except (TypeError, ValueError, OverflowError):  # such as a text in place of a number
             listed = found = ()
-        if isinstance(measurement, str | bytes | set):  # which have other entries, or no order
-            found = ()
+        if isinstance(measurement, str | bytes | set) or any(isinstance(one, str | bytes) for one in listed):
+            found = ()  # texts, or entries without an order
         if len(found) != size or not fits(found):
             raise ProblemError(
                 f"the measurement of the {self.role} is {measurement}; expected {size} finite numbers of at most "

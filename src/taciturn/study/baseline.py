@@ -27,7 +27,7 @@ from taciturn._progress import OutOfTime
 from taciturn.analyse.every_sample import with_every_sample
 from taciturn.analyse.switched import outcomes
 from taciturn.design.at_fixed_steps import decides, sending_always, sends_always
-from taciturn.design.kinds.all_time import all_time
+from taciturn.design.kinds.all_time import KIND as ALL_TIME
 from taciturn.errors import TaciturnError, UnstableError
 from taciturn.loop import Loop, close
 from taciturn.model.controller import PID, AnyController, PIDLoops
@@ -136,7 +136,10 @@ def _all_time(problem: Problem, policy: Policy, controller: AnyController | None
         plant, actual = assumed.added_to(plant), assumed.added_to(actual)
         cost = padded(cost, plant.inputs)
     period = policy.tick if isinstance(plant, ContinuousPlant) else None
-    return close(actual, all_time(plant, cost, period=period, controller=controller), problem.network, cost)
+    given = {name: value for name, value in (("period", period), ("controller", controller)) if value is not None}
+    every = ALL_TIME.make(plant, cost, problem.network, given)  # with the gain for missing samples
+    assert isinstance(every, Policy)
+    return close(actual, every, problem.network, cost)
 
 
 def _exact(every: Loop) -> float | None:

@@ -21,6 +21,7 @@ from taciturn.design.at_fixed_steps import decides, send_at_fixed_steps, sending
 from taciturn.design.kind import usual_nodes
 from taciturn.loop import Loop, close
 from taciturn.model.estimate import Estimate
+from taciturn.model.expected import predicted_outputs
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.result import Field, Result, plain_fields
@@ -145,8 +146,8 @@ def averages_on(
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     """Return the same control with a packet at every sample; some rules, such as levels of the output, have none."""
-    if problem.controller is None:
-        return sending_always(policy)
+    if problem.controller is None or (problem.network.missing and predicted_outputs(policy) is not None):
+        return sending_always(policy)  # of the same nodes, whose filter predicts missing samples
     period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
     network, links = problem.network, policy.scheduled
     # over several links, which are ideal, the loop with every sample is that of one link; so it is where a sensor

@@ -163,6 +163,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the links drop packets, but periodic control is computed for links that deliver every packet"
         )
+    if problem.network.missing:
+        raise NoClockError(f"{OF_A_DESIGN} samples are missing at random")
     if len(nodes.scheduled) > 1:
         raise NoClockError(
             f"the policy makes send decisions on {number_of(len(nodes.scheduled), 'link')}, and a single rate does "
