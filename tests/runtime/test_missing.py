@@ -249,6 +249,23 @@ def test_the_cost_of_a_law_is_that_of_second_moments(
     assert exact < second_moments(chances, np.array(moves), filter_and_gain(np.array([[0.1]]))[0])
 
 
+def test_a_law_that_is_removed_leaves_nothing_behind() -> None:
+    """A node at the site of the controller has no link, so an empty table of its link would be refused."""
+    nodes = {"probe": {"measures": [0], "site": "plc"}, "plc": {"controls": True}, "valve": {"applies": [0]}}
+    one = problem({"kind": "excess", "theta": 0.1}, nodes=nodes, links={"probe": {"missing": 0.3}})
+    assert one.network.missing == {"probe": 0.3}
+    assert not one.changed({"links.probe.missing": None}).network.missing
+
+
+def test_what_is_no_law_and_no_number_is_refused() -> None:
+    """In a sentence."""
+    with pytest.raises(ProblemError, match=r"missing is 0\.3; expected a Mapping"):
+        Network(missing=0.3)  # type: ignore[arg-type]
+    node = Node(problem({"kind": "excess", "theta": 0.1}).design(), "controller")
+    with pytest.raises(ProblemError, match="expected 1 finite numbers"):
+        node.step(0, ["1"])  # type: ignore[list-item]
+
+
 def test_a_sensor_that_sends_every_sample_sends_nothing_without_one() -> None:
     """A missing sample is then a lost packet, which the filter of `lossy-lqg` expects: the same distribution."""
     plant = Plant(PLANT["A"], PLANT["B"], PLANT["W"], dt=1.0)

@@ -316,9 +316,10 @@ class Problem(Displayed):
                     "[policy]"
                 )
             else:
-                table = tables
+                table = around = tables
                 touched.add(path[0])
                 for part in path:
+                    around = table
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
                         got = f"{part} is {quoted(found)}"
@@ -329,6 +330,8 @@ class Problem(Displayed):
                 table[key] = value
                 if value is None:
                     del table[key]
+                    if not table and len(path) > 1:  # such as links.level, which a node without a link may not have
+                        del around[path[-1]]
         parameters = {key: value for key, value in parameters.items() if value is not None}
         self._expect_own(parameters, {str(name).removeprefix("policy.") for name in values})
         tables = {name: table for name, table in tables.items() if table is not None}
