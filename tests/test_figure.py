@@ -81,6 +81,7 @@ def test_names_at_the_ends_of_curves_do_not_overlap() -> None:
     assert axis.get_legend() is None
 
 
+@pytest.mark.evidence
 def test_a_logarithmic_axis_has_at_least_two_plain_numbers() -> None:
     """Whether it covers less than a decade or many."""
     for high in (3.0, 30.0, 3e5):

@@ -130,6 +130,7 @@ def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str],
     assert words in answer.sentence
 
 
+@pytest.mark.evidence
 def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
     """Names are those of the files; a policy that shares its time says so; the picture is written."""
     once("taciturn.compare")

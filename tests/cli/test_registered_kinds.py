@@ -232,6 +232,7 @@ def test_commands_of_a_package_are_added_unless_their_name_is_taken(tmp_path: Pa
     assert "the command line needs the Python object missing_commands, which cannot be imported" in done.stderr
 
 
+@pytest.mark.evidence
 def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) -> None:
     """Commands, kinds, problems and laws that call ``sys.exit``; every command of this package still works."""
     site = tmp_path / "site"

@@ -97,6 +97,7 @@ def written(number: dict[str, Any]) -> str:
     return str(Estimate(number["value"], number["standard_error"], "simulation"))
 
 
+@pytest.mark.evidence
 def test_moves_of_the_keyboard_end_in_their_own_answer(browser: Any, page: Served) -> None:
     """Every shown number belongs to the setting that the page names: at no time is there one of an earlier move."""
     tab, errors = opened(browser, page.url)
@@ -155,6 +156,7 @@ def test_the_address_restores_everything(browser: Any, page: Served) -> None:
     again.close()
 
 
+@pytest.mark.evidence
 def test_bad_input_is_refused_at_its_control_and_changes_nothing(browser: Any, page: Served) -> None:
     """The sentence is that of the library, the last setting goes on, and the next one takes the sentence away."""
     tab, errors = opened(browser, page.url)
@@ -306,6 +308,7 @@ def test_a_page_whose_program_has_ended_says_so(browser: Any) -> None:
     tab.close()
 
 
+@pytest.mark.evidence
 def test_a_phone_shows_the_page_without_scrolling_sideways(browser: Any, page: Served) -> None:
     """Everything that can be operated has a name, and the point is in reach of the keyboard."""
     tab, errors = opened(browser, page.url, (320, 844))

@@ -266,6 +266,7 @@ def log_of_one(folder: Path) -> Path:
     return written(folder, [line("a", tick, y=[0.0]) for tick in range(3)])
 
 
+@pytest.mark.evidence
 def test_the_page_reads_values_by_keys_and_shows_each_fault(tmp_path: Path) -> None:
     """Served and saved: the cursor has the numbers of the files, faults are in reach of keys, and a phone fits."""
     if lacks := missing():

@@ -173,6 +173,7 @@ def test_what_cannot_decide_on_sets_is_refused(
     assert "expected" in str(found.value)
 
 
+@pytest.mark.evidence
 def test_certificates_of_sets_by_price_and_not_by_a_limit() -> None:
     """`excess` compares forms; `lqg` takes the first set within a limit, and the message says so."""
     plant, cost = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2)), Cost(np.eye(2), np.eye(2))

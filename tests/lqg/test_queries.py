@@ -250,6 +250,7 @@ def test_a_start_of_which_nothing_is_known_leaves_the_same_cycle() -> None:
     assert any(turn == pytest.approx(usual.covariance[:, 0, 0], rel=1e-8) for turn in turns)
 
 
+@pytest.mark.evidence
 def test_a_schedule_says_what_it_is(tmp_path) -> None:
     """Its document is JSON, its table has a row per step, its picture is drawn, and its cycle stands alone."""
     weights, start = Weights(np.array([[0.5]])), np.array([[0.3]])

@@ -299,6 +299,7 @@ def test_the_command_reads_lines_and_ignores_bad_ones() -> None:
     assert server.report()["set_points"] == [{"loop": 0, "given": [0.0], "in_effect": [0.0]}]
 
 
+@pytest.mark.evidence
 def test_a_restored_node_tells_the_set_points_in_effect() -> None:
     """Before its next step, in Python and in C, on the ramp and with a range alone."""
     for changes in ({}, {"reference.ramp": None}):

@@ -85,6 +85,7 @@ def test_a_tradeoff_shows_promise_certificate_and_cost(rule: str) -> None:
     assert axis.get_ylim()[1] > max(line.get_ydata())
 
 
+@pytest.mark.evidence
 def test_rules_in_one_tradeoff_state_both_theorems() -> None:
     """And the figure has the guarantees and the certificates of both, named once."""
     found = taciturn.tradeoff(
@@ -98,6 +99,7 @@ def test_rules_in_one_tradeoff_state_both_theorems() -> None:
         assert len([line for line in lines if (line.get_color(), line.get_marker()) == look]) == 2
 
 
+@pytest.mark.evidence
 def test_nodes_that_measure_nothing_have_no_certificate() -> None:
     """Neither a column nor a curve."""
     bands = taciturn.tradeoff(tank("send-on-delta", delta=0.05), {"delta": [0.03, 0.05]}, standard_error=1e-4)

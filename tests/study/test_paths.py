@@ -84,6 +84,7 @@ def test_every_link_with_a_decision_has_its_trigger() -> None:
     assert (table["trigger"] == table["trigger_level-1"]).all()
 
 
+@pytest.mark.evidence
 def test_the_content_of_a_bank_is_part_of_the_threshold_in_a_figure() -> None:
     """So each trigger is a ratio, above 1 where a packet is sent, except for the first packet."""
     found = taciturn.simulate(build("two valves"), 100)
@@ -239,6 +240,7 @@ def test_a_figure_for_a_column_of_a_journal_omits_estimates_and_triggers() -> No
     assert "estimate" in labels(path("pid-tank", 100).plot(style="paper").axes[0])
 
 
+@pytest.mark.evidence
 def test_the_figure_shows_set_points_limits_and_disturbances() -> None:
     """Set-points that change, limits of inputs and states that the path comes near, and a limit that is far away."""
     tank = taciturn.load(TANKS)

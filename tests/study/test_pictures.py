@@ -246,6 +246,7 @@ def test_the_title_of_a_tradeoff_speaks_of_the_point_in_the_ring() -> None:
     assert axis.get_ylabel().endswith("(axis: logarithmic far from 0)")
 
 
+@pytest.mark.evidence
 def test_the_title_of_a_picture_says_its_result() -> None:
     """The bound of an evaluation comes last; the parameter and the packets of an answer. A budget has its value."""
     found = made("evaluation")
@@ -300,6 +301,7 @@ def test_held_and_predicted_inputs_have_one_colour_in_any_order() -> None:
     assert len(set(policy_looks([["hold", 1], ["hold", 2], ["hold", 3]]))) == 3
 
 
+@pytest.mark.evidence
 def test_rates_at_which_periodic_control_is_unstable_are_shaded() -> None:
     """Up to the largest rate of such a point, and named in the key."""
     found = made("trade-off")

@@ -80,6 +80,7 @@ def test_a_number_that_is_listed_once_is_in_document_table_text_and_record() -> 
     assert decode(encode(found)) == found
 
 
+@pytest.mark.evidence
 def test_results_other_than_evaluations_are_restored() -> None:
     """A course with its arrays, and certificates; a tuned problem has functions, which its file states."""
     problem = taciturn.load("two-mass-lqg")

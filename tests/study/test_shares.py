@@ -84,6 +84,7 @@ def test_the_cost_at_a_traffic_is_the_least_of_all_shares(cheapest: Tuned, monke
     assert "shares" in str(found)
 
 
+@pytest.mark.evidence
 def test_links_without_a_given_rate_send_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rates of links by name are met, each for itself."""
     monkeypatch.setattr(shares, "EFFORT", EFFORT)

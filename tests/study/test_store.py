@@ -52,6 +52,7 @@ def files(folder: Path) -> list[Path]:
     return sorted(path for path in (folder / "cells").glob("*/*") if path.suffix != PART)
 
 
+@pytest.mark.evidence
 def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And a larger one what is new; another seed, precision or problem everything."""
     first = swept(tmp_path)

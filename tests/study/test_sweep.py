@@ -94,6 +94,7 @@ def test_a_cell_is_the_same_in_every_grid(whole: xarray.Dataset) -> None:
     assert other.cost.item() != alone.cost.item()
 
 
+@pytest.mark.evidence
 def test_threads_and_processes_give_the_same_bits(whole: xarray.Dataset) -> None:
     """Whatever runs a cell."""
     pools: list[Executor] = [ThreadPoolExecutor(3), ProcessPoolExecutor(2, get_context("spawn"))]
@@ -394,6 +395,7 @@ def test_a_field_of_an_evaluation_with_a_column_is_a_variable_of_a_sweep(monkeyp
     assert evaluation.document()["spared"] == 1 - evaluation.rates["actuator"].value
 
 
+@pytest.mark.evidence
 def test_a_field_with_a_column_is_in_each_table_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     """An estimate is one entry of a table, and two columns of pandas and of a sweep."""
     spared = Field[Evaluation]("spared", lambda found: found.rates["actuator"].scaled(-1.0, 1.0))
