@@ -503,9 +503,9 @@ def outcomes(loop: Loop) -> Outcomes | None:
 
 
 def _read(loop: Loop, links: Sequence[str]) -> Outcomes | None:
+    nodes = [*loop.network.missing]
     # rounding does not change the growth
-    nodes, exact = [*loop.network.missing], replace(loop, network=loop.network.delivery)
-    exact = replace(exact, network=replace(exact.network, missing=loop.network.missing))
+    exact = replace(loop, network=replace(loop.network.delivery, missing=loop.network.missing))
     always = attempt_of(loop.policy)
     if always is None or len(links) + len(nodes) > MOST_LAWS:
         return None

@@ -32,7 +32,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation, limit_entries
 from taciturn.model.steps import ONE, Apply, Assign, Decide, Send, Step, Terms, assigned, read
-from taciturn.model.trigger import Form, Matrix
+from taciturn.model.trigger import Form, is_unit
 
 NAMES = ("command", "candidate", "silent", HELD)  # inputs as a node computes them; with several actuators, NAME_NODE
 COMPARED = ("error", "moved")  # differences of commands
@@ -188,7 +188,7 @@ class _Limited:
         """Return the signals that a step copies, apart from a constant."""
         for terms in step.branches:
             others = {name: matrix for name, matrix in terms.items() if name != ONE}
-            if len(others) == 1 and all(_is_unit(matrix) for matrix in others.values()):
+            if len(others) == 1 and all(is_unit(matrix) for matrix in others.values()):
                 yield from others
 
     def _stays(self, terms: Terms, signal: str) -> bool:
@@ -202,7 +202,7 @@ class _Limited:
                     f"input_limit is {got}; expected limits that contain 0, or an actuator that holds its input"
                 )
             return True
-        return len(terms) == 1 and all(name in self._rows and _is_unit(matrix) for name, matrix in terms.items())
+        return len(terms) == 1 and all(name in self._rows and is_unit(matrix) for name, matrix in terms.items())
 
 
 def _assigned(step: Assign, signal: str, branches: tuple[Terms, ...]) -> Assign:
@@ -227,11 +227,7 @@ def _is_difference(step: Assign) -> bool:
         return False
     one, other = weights
     unlike = isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and np.array_equal(one, -other)
-    return unlike and (_is_unit(one) or _is_unit(other))
-
-
-def _is_unit(matrix: Matrix) -> bool:
-    return isinstance(matrix, np.ndarray) and np.array_equal(matrix, np.eye(len(matrix)))
+    return unlike and (is_unit(one) or is_unit(other))
 
 
 def _wanted(signal: str) -> str:

@@ -349,6 +349,7 @@ def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPoli
     known = kind.network_for(network)
     policy = design(known)
     if isinstance(policy, Policy):
+        # last, since the laws name nodes of this network
         return for_missing_samples(placed(policy, network), network)
     if known.nodes != network.nodes:
         raise ProblemError(

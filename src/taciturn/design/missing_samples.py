@@ -35,7 +35,7 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
     Raises:
         UnstableError: with so many missing samples, the error of the estimate grows without limit.
     """
-    if not network.missing or NOTE in policy.notes:
+    if not network.missing or NOTE in policy.notes:  # a kind may ask after its design function has asked
         return policy
     # a comparison with LQG is one without missing samples
     notes = tuple(note for note in policy.notes if not note.startswith(BESIDE_LQG))
@@ -46,6 +46,7 @@ def for_missing_samples(policy: Policy, network: Network) -> Policy:
         return found
     given, p = model.set_points, model.sensed
     n = model.states - given
+    # without the set-points, which the filter takes over and which are never missing
     A, C, W, V = model.A[:n, :n], model.C[:p, :n], model.W[:n, :n], model.V[:p, :p]
     chances = together([network.chain_of_samples(node) for node in network.missing])
     known = np.array([[law is None or not case[law] for law in laws] for case in chances.cases], dtype=np.float64)

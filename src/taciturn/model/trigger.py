@@ -69,6 +69,11 @@ def shape_of(value: Matrix) -> tuple[int, ...]:
     return value.entry_shape if isinstance(value, Scheduled) else value.shape
 
 
+def is_unit(value: Matrix) -> bool:
+    """Return whether a matrix is constant and the identity."""
+    return isinstance(value, np.ndarray) and np.array_equal(value, np.eye(len(value)))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class GaussianTerm(Displayed):
     """A Gaussian term of a form: height · exp(−½ η'Πη).

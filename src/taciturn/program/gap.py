@@ -26,7 +26,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Assign, Step, assigned, read
-from taciturn.model.trigger import Matrix
+from taciturn.model.trigger import Matrix, is_unit
 from taciturn.program.ir import Truth
 from taciturn.program.translation import Operands, TimeStep
 
@@ -86,10 +86,10 @@ def bridge(
     for count, response in zip(counts, responses, strict=True):
         T, place = [next(moved) for _ in response.E], response.output
         more, truth = b.emit("add", count, one), known[place]
-        ended = b.both(truth, b.greater(count, 0.0))
+        ended = b.both(truth, b.greater(count, 0.0))  # without a gap, a memory keeps its bits: x + 0 may change −0
         slope = b.emit("div", b.emit("sub", values[place], last[place]), more)
         for (name, i), moves in zip(response.memories, T, strict=True):
-            memory = [*tick.recall(name)]
+            memory = [*tick.recall(name)]  # with the corrections by other outputs, which end gaps of their own
             memory[i] = b.choose(ended, b.emit("add", memory[i], b.emit("mul", moves, slope)), memory[i])
             tick.signals[name] = memory
         joined = [[float(c) for c in row] for row in np.column_stack([response.F, response.E])]
@@ -110,7 +110,7 @@ class _Walk:
 
     def linear(self) -> list[str]:
         """Return the memories that depend on the signal, and only linearly."""
-        while True:
+        while True:  # a memory that responds makes others respond in later steps, until no further one does
             memories = self._pass()
             after = {name: self._found[name] for name in memories}
             reached = {name for name, terms in after.items() if terms is None or terms}
@@ -156,11 +156,12 @@ class _Walk:
 
 def _applied(policy: Policy) -> set[str]:
     """Return the inputs that actuators apply, and the commands that they copy."""
+    # the walk ends at them: in the gap they had the values that were applied, whatever the samples would have been
     found = {*policy.applied, ONE}
     for step in policy.steps:
         for terms in step.branches if isinstance(step, Assign) and step.signal in policy.applied else ():
             present = {name: weight for name, weight in terms.items() if _is_present(weight)}
-            found |= {name for name, weight in present.items() if len(present) == 1 and _is_unit(weight)}
+            found |= {name for name, weight in present.items() if len(present) == 1 and is_unit(weight)}
     return found
 
 
@@ -174,10 +175,6 @@ def _reached(F: Array, enters: Array) -> list[int]:
 
 def _is_present(weight: Matrix) -> bool:
     return not isinstance(weight, np.ndarray) or bool(weight.any())
-
-
-def _is_unit(weight: Matrix) -> bool:
-    return isinstance(weight, np.ndarray) and np.array_equal(weight, np.eye(len(weight)))
 
 
 def _missed(signal: str) -> str:
