@@ -33,9 +33,10 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn._text import number_of
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
+from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import resting_states
 from taciturn.lqg.loaded import with_loads
+from taciturn.lqg.registers import point_with, with_same_start
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import (
     BURSTS,
@@ -62,6 +63,7 @@ from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
+from taciturn.model.transport import delayed_by
 from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
@@ -95,7 +97,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     """List, as texts, the assumptions of the policy's theory that do not hold in a loop."""
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    exact, designed = network.delivery, policy.network.delivery
+    exact, designed = network.delivery, policy.network.played().delivery
     alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
 
     def lacks(names: frozenset[str]) -> bool:
@@ -549,6 +551,8 @@ def close(
         )
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
+    instance("network", network, Network)
+    plant, network = delayed_by(plant, network), network.played()
     assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used
     without = policy.model.stated - policy.model.set_points - policy.model.inputs

@@ -17,7 +17,7 @@ import numpy as np
 from taciturn.errors import ProblemError
 from taciturn.extend import Array, ArrayLike, instance
 from taciturn.loop import Loop
-from taciturn.lqg.discrete import registered
+from taciturn.lqg.registers import registered, registers_of
 from taciturn.model.coverage import LOADS, PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.names import Names, Role, unit_of
@@ -104,7 +104,7 @@ def to_control(
         D = 0 if thing.D is None else thing.D
         return _control().StateSpace(thing.A, thing.B, thing.C, D, 0, name="plant", **named.of_plant(thing))
     if isinstance(thing, Plant) and thing.D is not None:
-        thing = registered(thing, thing)
+        thing = registered(thing, thing, registers_of(thing, 1.0))
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function, named)
     if isinstance(thing, Plant):

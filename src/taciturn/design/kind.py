@@ -41,6 +41,7 @@ from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
+from taciturn.model.transport import delayed_by
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
@@ -236,7 +237,11 @@ class Kind(Displayed):
                 or the design function of another package fails or returns no policy of this kind.
         """
         known = "network" in self.tables
-        return _on(self, network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
+
+        def design(late: Plant | ContinuousPlant, nodes: Network) -> AnyPolicy:
+            return self.call(late, cost, {"network": nodes, **given} if known else given)
+
+        return _on(self, plant, network, design)
 
     def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
         """Call the design function with all its arguments, and check that it returns a valid policy."""
@@ -333,24 +338,37 @@ def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
     def made(*args: P.args, **named: P.kwargs) -> Policy:
         kind = cast("Kind", vars(sys.modules[design.__module__])["KIND"])  # the record that ends the design's file
         given = cast("dict[str, Any]", named)
+        rest = list(cast("tuple[Any, ...]", args))
 
-        def for_nodes(network: Network) -> Policy:
-            given["network"] = network
-            return design(*args, **named)
+        def for_nodes(plant: Plant | ContinuousPlant, network: Network) -> Policy:
+            changed = {**given, "network": network} | ({} if rest else {"plant": plant})
+            return cast("Any", design)(*([plant, *rest[1:]] if rest else []), **changed)
 
-        return cast("Policy", _on(kind, given.get("network"), for_nodes))
+        plant = rest[0] if rest else given.get("plant")
+        return cast("Policy", _on(kind, plant, given.get("network"), for_nodes))
 
     return made
 
 
-def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPolicy]) -> AnyPolicy:
-    """Return a policy on a network, from a function that designs it for the nodes that the kind knows."""
-    network = Network() if network is None else network
+def _on(
+    kind: Kind,
+    plant: Plant | ContinuousPlant | None,
+    network: Network | None,
+    design: Callable[[Any, Network], AnyPolicy],
+) -> AnyPolicy:
+    """Return a policy on a network, from a function that designs it for the nodes that the kind knows.
+
+    The design sees constant delays of links as delays of the plant, and links without them.
+    """
+    stated = Network() if network is None else network
+    instance("network", stated, Network)
+    plant, network = plant and delayed_by(plant, stated), stated.played()
     known = kind.network_for(network)
-    policy = design(known)
+    policy = design(plant, known)
     if isinstance(policy, Policy):
         # last, since the laws name nodes of this network
-        return for_missing_samples(placed(policy, network), network)
+        found = for_missing_samples(placed(policy, network), network)
+        return replace(found, network=found.network.delayed_as(stated))
     if known.nodes != network.nodes:
         raise ProblemError(
             f"the policy {policy.kind} has no sampling steps that nodes could run, but the network has nodes with "

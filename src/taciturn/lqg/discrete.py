@@ -28,7 +28,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -41,25 +40,23 @@ from taciturn._modes import (
     invariant,
     pace,
     radius,
-    summed,
     unit_columns,
 )
 from taciturn._rational import Limit, unmoved
 from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import MOST_PROBLEMS, remembered
-from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
-from taciturn.lqg.quadratic import Quadratic, placed, worth_of
+from taciturn.lqg.quadratic import Quadratic, worth_of
+from taciturn.lqg.registers import expect_digits, parts_of, registers_from, with_registers
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import Exact, Sampled, Source, sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import DisturbedDynamics
-from taciturn.model.dynamics import Dynamics
 from taciturn.model.load import SampledLoads
-from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import (
     FED,
     ContinuousPlant,
@@ -73,138 +70,6 @@ from taciturn.model.plant import (
 )
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Exosystem
-
-BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
-
-
-def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
-    """Return the indices of the inputs with a direct feedthrough to an output, whose columns of D are not zero."""
-    return [] if plant.D is None else np.flatnonzero(plant.D.any(axis=0)).tolist()
-
-
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
-    """Extend a problem by registers: states that store the inputs with a direct feedthrough for one step."""
-    n, fed = source.states, fed_inputs(source)
-    inputs: Array = np.eye(problem.plant.inputs)[fed]
-    more = n, np.zeros((len(fed), len(fed))), inputs
-    own, whole = problem.deviations, problem.quadratic.beside(*more)
-    if own is not None:
-        kept, new = placed(len(own.T), n, len(fed))
-        own = replace(
-            own,
-            states=np.insert(own.states, [n] * len(fed), False),
-            T=kept @ own.T @ kept.T + new @ new.T,
-            U=own.U @ kept.T,
-            problem=own.problem.beside(*more),
-            exact=own.exact and own.exact.beside(*more),
-        )
-    exact = problem.exact and problem.exact.beside(*more)
-    plant = registered(problem.plant, source)
-    return replace(problem, plant=plant, Q=whole.Q, N=whole.N, exact=exact, deviations=own, source=source)
-
-
-def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
-    """Extend a sampled plant by registers: states that store, for one step, the inputs with a direct feedthrough."""
-    n, fed, D = source.states, fed_inputs(source), source.D
-    assert D is not None, "only a plant with D needs registers"
-    shown = np.zeros((plant.outputs, len(fed)))
-    shown[: len(D)] = D[:, fed]
-    push: Array = np.eye(plant.inputs)[fed]
-    kept, new = placed(plant.states, n, len(fed))
-    A, W, covariance = (kept @ part @ kept.T for part in (plant.A, plant.W, plant.covariance))
-    found = derived_plant(
-        A, kept @ plant.B + new @ push, W, plant.C @ kept.T + shown @ new.T, plant.V, plant.dt, kept @ plant.mean,
-        covariance, plant.input_limit, plant.function and RegisteredDynamics.of(plant.function, n, fed),
-        input_rate=plant.input_rate,
-    )  # fmt: skip
-    alone = source if isinstance(source, Plant) else None
-    found = altered(found, {"changes": plant.changes, "registers": tuple(fed), "alone": alone})
-    return counted_from(found, plant, lambda at: OperatingPoint(np.insert(at.x, [n] * len(fed), at.u[fed]), at.u))
-
-
-def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
-    """Raise an error if an output is so large that rounding hides how it depends on the state.
-
-    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
-    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
-    innovation, it changes the cost by less than its stated tolerance of 1e-6.
-    """
-    plant, fed, keep = problem.plant, problem.registers, problem.decaying
-    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
-    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
-    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
-        return
-    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
-    if point is not None:
-        size += np.abs(point.u[[*plant.registers]])
-    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
-    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
-    worst = int(np.argmax(rounded - BLUR * told))
-    if rounded[worst] > BLUR * told[worst] > 0:
-        shown = plant.C[worst, fed]
-        raise ProblemError(
-            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
-            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
-            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
-            "innovation: measure this output without the input, or leave it out"
-        )
-
-
-def with_same_start(problem: Discrete, model: Plant) -> Discrete:
-    """Set the initial values of a problem's registers to those of the plant ``model`` of a design."""
-    plant, place = problem.plant, registers_from(problem)
-    before = np.zeros(plant.inputs)
-    for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
-        before[[*registers]] = mean[place : place + len(registers)]
-    return replace(problem, plant=with_inputs_before(plant, place, before))
-
-
-def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
-    """Set the initial values of a plant's registers, which begin at state ``place``, to the given inputs, (m,)."""
-    mean = plant.mean.copy()
-    mean[place : place + len(plant.registers)] = before[[*plant.registers]]
-    return altered(plant, {"mean": frozen(mean)})
-
-
-def registers_from(problem: Discrete) -> int:
-    """Return the index of the first register among the states of a problem."""
-    return problem.plant.stated if problem.source is None else problem.source.states
-
-
-def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
-    point, fed, place = model.operating_point, [*problem.plant.registers], registers_from(problem)
-    if point is None or model.registers == problem.plant.registers:
-        return point
-    x = np.delete(point.x, slice(place, place + len(model.registers)))
-    return OperatingPoint(np.insert(x, [place] * len(fed), point.u[fed]), point.u)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RegisteredDynamics(Displayed):
-    """A step function extended by registers z⁺ = u. The other states follow f((x, d), u, (w, w_d))."""
-
-    dynamics: Dynamics  # f
-    place: int  # number of states before the registers
-    inputs: tuple[int, ...]  # the inputs that have a register, as integers, (r,)
-
-    def __call__(self, x: Any, u: Any, w: Any) -> Any:
-        """Return the next states of the plant, with the registers among them."""
-        n, end = self.place, self.place + len(self.inputs)
-        own = np.array([*range(n), *range(end, len(x))])
-        found: Any = self.dynamics.function(x[own], u, w[own])
-        moved = list(found)
-        return np.array([*moved[:n], *(u[i] for i in self.inputs), *moved[n:]])
-
-    @staticmethod
-    def of(function: Dynamics, place: int, inputs: list[int]) -> Dynamics:
-        """Extend a plant's step function by registers, and shift it to the same operating point as before."""
-        moved, fed = function.function, tuple(inputs)
-        if not isinstance(moved, MovedDynamics):
-            return Dynamics(RegisteredDynamics(function, place, fed))
-        x, to = (np.insert(one, [place] * len(fed), moved.u[inputs]) for one in (moved.x, moved.rest))
-        return Dynamics(MovedDynamics(Dynamics(RegisteredDynamics(moved.dynamics, place, fed)), x, moved.u, to))
-
 
 INSTANTS = (
     "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
@@ -281,7 +146,7 @@ class Discrete(Displayed):
         """
         p = self.plant
         found = filter_sampled(self.exact, p.A, p.C, p.W, p.V, p.set_points)
-        if p.registers:
+        if self.source is not None and self.source.D is not None:
             with suppress(UnstableError):  # over a horizon there need be no steady regulator
                 expect_digits(self, self.regulator().L, found)
         return found
@@ -311,10 +176,10 @@ class Discrete(Displayed):
 
     @cached_property
     def registers(self) -> Bits:
-        """Mask, (n,), of the states that are registers. A register stores an input of the previous step."""
+        """Mask, (n,), of the states that are registers. A register stores an input or an output of an earlier step."""
         found = np.zeros(self.plant.states, dtype=np.bool_)
         first = registers_from(self)
-        found[first : first + len(self.plant.registers)] = True
+        found[first : first + len(self.plant.registers) + len(self.plant.stored)] = True
         return found
 
     @property
@@ -443,8 +308,19 @@ def _discretise(
 ) -> Discrete:
     """Return the discrete-time control problem of checked data."""
     SIMULATED.check(plant, cost)
-    if plant.D is not None or plant.exosystem is not None:
+    if plant.D is not None or plant.exosystem is not None or plant.transport is not None:
         return _with_added_states(plant, cost, period, prediction)
+    return _sampled(plant, cost, period, prediction, None)
+
+
+def _sampled(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
+    parts: tuple[float, ...] | None,
+) -> Discrete:
+    """Return the problem of a plant without further states. With ``parts``, its inputs are those before and after."""
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected the shapes "
@@ -478,7 +354,7 @@ def _discretise(
             f"{np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
-        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
+        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period, parts=parts)
     else:
         limit, rate = plant.input_limit, plant.input_rate
         given = {
@@ -502,9 +378,10 @@ def _discretise(
             "that differ less in speed, for example by an E that is less close to singular"
         ) from None
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
-    rate = None if plant.input_rate is None else period * plant.input_rate
+    limit, rate = plant.input_limit, None if plant.input_rate is None else period * plant.input_rate
+    limit, rate = (None, None) if parts else (limit, rate)  # of the commands, which are states
     discrete = derived_plant(
-        sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
+        sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, limit, input_rate=rate
     )
     # an actuator that predicts has the state of its model as its input
     discrete = counted_from(discrete, plant, None if prediction is None else lambda at: OperatingPoint(at.x, at.x))
@@ -521,26 +398,43 @@ _of_data = remembered(_discretise, MOST_PROBLEMS)
 def _with_added_states(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
 ) -> Discrete:
-    """Return the problem of a plant with registers of the inputs that its outputs show, or with its disturbances."""
-
+    """Return the problem of a plant with its disturbances, and with registers of late inputs and of those that its
+    outputs show.
+    """
+    e, late = plant.exosystem, plant.D is not None or plant.transport is not None
+    given = [(e is not None, "disturbances or set-points are given")]
+    given += [(plant.D is not None, "the outputs have a direct feedthrough D"), (late, "a link delays its packets")]
+    added = next(what for holds, what in given if holds)
     jumps = isinstance(plant, ContinuousPlant) and plant.jumps is not None
-    part, given, refused = "D", "the outputs have a direct feedthrough D", dict[str, bool]()
-    if plant.D is None:
-        part, given = "exosystem", "disturbances or set-points are given"
-        refused = {
-            "the cost has a horizon; expected an average cost": cost.horizon is not None,
-            "the cost is discounted; expected an average cost": cost.discount < 1,
-            "the full state is measured without noise; expected C and V": plant.full_state,
-        }
-    refused["the actuator predicts between sampling instants; expected a held input"] = prediction is not None
-    refused["the plant has jumps; expected Gaussian noise W"] = jumps
+    refused = {
+        "the cost has a horizon; expected an average cost": e is not None and cost.horizon is not None,
+        "the cost is discounted; expected an average cost": e is not None and cost.discount < 1,
+        "the full state is measured without noise; expected C and V": e is not None and plant.full_state,
+        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+        "the plant has jumps; expected Gaussian noise W": jumps,
+    }
     for got in (got for got, holds in refused.items() if holds):
-        raise ProblemError(f"{given}, and {got}")
-    found = discretise(altered(plant, {part: None}), cost, period)
-    if plant.D is not None:
-        return with_registers(found, plant)
-    assert plant.exosystem is not None, "states are added for a part of the plant"
-    return joined(found, plant, plant.exosystem)
+        raise ProblemError(f"{added}, and {got}")
+    parts = _parts(plant, period)
+    found = _sampled(altered(plant, {"D": None, "exosystem": None, "transport": None}), cost, period, prediction, parts)
+    if e is not None:
+        found = joined(found, plant, e, parts)
+    return with_registers(found, plant) if late else found
+
+
+def _parts(plant: Plant | ContinuousPlant, period: float | None) -> tuple[float, ...] | None:
+    """Return the part of a period that each input waits before it acts; None if all wait whole periods."""
+    if plant.transport is None:
+        return None
+    if isinstance(plant, ContinuousPlant):
+        return None if period is None else parts_of(plant, number("period", period, 0.0))
+    seconds = [wait.seconds for wait in (*plant.transport.inputs, *plant.transport.outputs) if wait.seconds]
+    if seconds:
+        raise ProblemError(
+            f"a link has a delay of {seconds[0]:g} seconds, but the plant is discrete in time; expected a whole number "
+            "of steps, or a plant that is continuous in time (omit plant.dt)"
+        )
+    return None
 
 
 BEYOND = 1e-9  # rounding of an input at its limit
@@ -578,10 +472,12 @@ def moved_inputs(U: Array, S: Array) -> Array:
     return np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
 
 
-def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
+def joined(
+    base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem, parts: tuple[float, ...] | None = None
+) -> Discrete:
     """Extend the state of a problem by an exosystem d. Its cost then weights deviations from targets that d sets."""
     plant, e = base.plant, exosystem
-    n, q, m = plant.states, len(e.S), plant.inputs
+    n, q, m = plant.states, len(e.S), plant.inputs  # with parts, the inputs are twice those of the source
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W, noise_cost, instants, exact, own = block_diagonal(source.W, e.W), base.noise_cost, False, None, None
     stage = np.block([[base.Q, base.N], [base.N.T, base.R]])
@@ -598,20 +494,27 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
                 f"period {base.tick:g}; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a shorter "
                 "period"
             )
-        B, none = np.vstack([source.B, np.zeros((q, m))]), np.zeros((n + q, n + q))
-        sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
+        k = source.inputs
+        B, none = np.vstack([source.B, np.zeros((q, k))]), np.zeros((n + q, n + q))
+        sampled = sample(A, B, none, np.zeros((k, k)), np.zeros((n + q, k)), W, base.tick, parts=parts)
         A, W, exact = sampled.A, sampled.W, sampled.exact
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
+        if instants and parts is not None:
+            raise ProblemError(
+                "an input acts a part of a period late, and a disturbance changes the input that it needs between "
+                "samples; expected delays of whole periods, or a disturbance that is constant between samples"
+            )
         if instants:
             X, U = _equations(plant, replace(e, S=A[n:, n:], E=A[:n, n:]), base)
             noise_cost = 0.0
         else:
-            within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
+            within = _within_a_period(source, e, base.cost, X, U, given, base.tick, parts)
+            U = U if parts is None else np.vstack([U, U])
             own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
-    _expect_reached(plant, U, e)
+    _expect_reached(source, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(before, seen, n, e, source.continuous)
     deviation = np.eye(n + q + m)
@@ -656,7 +559,14 @@ def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | N
 
 
 def _within_a_period(
-    plant: ContinuousPlant, e: Exosystem, cost: Cost, X: Array, U: Array, given: int, period: float
+    plant: ContinuousPlant,
+    e: Exosystem,
+    cost: Cost,
+    X: Array,
+    U: Array,
+    given: int,
+    period: float,
+    parts: tuple[float, ...] | None,
 ) -> Sampled:
     """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are
     used.
@@ -670,7 +580,7 @@ def _within_a_period(
     D = np.hstack([np.zeros((m, n)), -moved_inputs(U, e.S)])
     B, N = (np.vstack([part, np.zeros((q, m))]) for part in (plant.B, cost.N))
     A, Q = block_diagonal(plant.A, e.S), block_diagonal(cost.Q, rest)
-    return sample(A, B, Q, cost.R, N, W, period, D)
+    return sample(A, B, Q, cost.R, N, W, period, D, parts)
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:

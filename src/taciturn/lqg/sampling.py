@@ -17,7 +17,7 @@ Source: vanloan1978
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil, log2
@@ -163,6 +163,7 @@ def sample(
     W: ArrayLike,
     period: float,
     moved: ArrayLike | None = None,
+    parts: Sequence[float] | None = None,
 ) -> Sampled:
     """Convert a continuous-time LQ problem to discrete time; the input is held from one sample to the next.
 
@@ -185,6 +186,8 @@ def sample(
             these move.
         period: h > 0, in the same unit of time.
         moved: D, (m, n), how the states move the inputs, per unit of time; omitted: the inputs are held.
+        parts: part of the period, in [0, 1), after which each input changes, (m,). The inputs of the sampled problem
+            are then those before the change, followed by those after it. Omitted: inputs change at the samples.
 
     Returns:
         The sampled problem, to the precision of its entries; ``exact`` encloses it.
@@ -215,8 +218,22 @@ def sample(
     reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
-    return sampled(_Integrated(F, M, G, period, units, n), n + m, source)
+    if parts is None:
+        F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
+        return sampled(_Integrated((F,), (M,), (period,), G, units, n), n + m, source)
+    share = np.array(parts)
+    cuts = np.unique(np.concatenate([[0.0], share, [1.0]]))
+    twice: Array = np.vstack([np.eye(n + m), np.pad(np.eye(m), ((0, 0), (n, 0)))])  # both inputs move alike
+    dynamics, weights = list[Array](), list[Array]()
+    for begin in cuts[:-1]:
+        after = np.diag((share <= begin).astype(np.float64))
+        acts = np.block([[np.eye(n), np.zeros((n, 2 * m))], [np.zeros((m, n)), np.eye(m) - after, after]])
+        dynamics.append(np.block([[np.hstack([A, B]) @ acts], [np.vstack([D, D]), np.zeros((2 * m, 2 * m))]]))
+        weights.append(acts.T @ np.block([[Q, N], [N.T, R]]) @ acts)
+    units = np.concatenate([units, units[n:]])
+    lasts = tuple((np.diff(cuts) * period).tolist())
+    build = _Integrated(tuple(dynamics), tuple(weights), lasts, twice @ G @ twice.T, units, n)
+    return sampled(build, n + 2 * m, source)
 
 
 def sample_prediction(
@@ -246,19 +263,24 @@ def sample_prediction(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Integrated(Displayed):
-    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs."""
+    """The problem of ż = Fz + noise of intensity G over some times in turn, where z are states and inputs."""
 
-    F: Array
-    M: Array
+    F: tuple[Array, ...]
+    M: tuple[Array, ...]
+    times: tuple[float, ...]
     G: Array
-    period: float  # the time
     units: Array  # powers of two, the units of z
     states: int  # number of entries of z that are states
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem."""
-        F, M, G = (arithmetic.exact(part) for part in (self.F, self.M, self.G))
-        return integrated(arithmetic, F, M, G, self.period, self.units).split(self.states)
+        exact, whole = arithmetic.exact, None
+        G = exact(self.G)
+        for F, M, time in zip(self.F, self.M, self.times, strict=True):
+            part = integrated(arithmetic, exact(F), exact(M), G, time, self.units)
+            whole = part if whole is None else whole.then(part)
+        assert whole is not None, "a period has one part at least"
+        return whole.split(self.states)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

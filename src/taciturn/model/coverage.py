@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.link import LinkLaw
 from taciturn.model.losses import LossLaw
 
 MODEL = "taciturn.model."
@@ -56,7 +57,10 @@ POINT = names("operating_point", "x u") | {"plant.operating_point"}
 # names change no number; stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the
 # inputs are limited
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit names") | POINT
-FEEDTHROUGH = frozenset({"plant.D", "plant.registers"})
+# a constant delay is a property of the plant, with registers as its states; any other one is a law of the link
+REGISTERS = names("Transport", "inputs outputs") | {
+    f"plant.{name}" for name in ("D", "registers", "transport", "stored")
+}
 ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at
 DRIFT = frozenset({"plant.drift"})
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit", "plant.input_rate"})
@@ -103,20 +107,10 @@ FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
-LINEAR_LOOP = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
+LINEAR_LOOP = LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
 PLANTS = (
-    LINEAR_PLANT
-    | FEEDTHROUGH
-    | ALONE
-    | EXOSYSTEM
-    | CHANGES
-    | SET_POINT_LIMITS
-    | LOADS
-    | FUNCTION
-    | LIMIT
-    | JUMPS
-    | DRIFT
+    LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | SET_POINT_LIMITS | LOADS | FUNCTION | LIMIT | JUMPS | DRIFT
 )
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING | SAMPLES
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS | INTERVALS
@@ -156,6 +150,8 @@ def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
 
 def _collect(covered: frozenset[str], thing: object, found: dict[str, None]) -> None:
     """Add the names of the properties that are given but not covered."""
+    if isinstance(thing, LinkLaw):  # a plant shows its constant delay, and is looked at too
+        thing = thing.played()
     kind = type(thing)
     looked = _look(kind, covered)
     if looked is None:

@@ -1,15 +1,16 @@
-"""Model of a link: packet loss, acknowledgements, quantisation, price and energy per packet, and traffic limits."""
+"""Model of a link: losses, delays, acknowledgements, quantisation, price and energy per packet, and traffic limits."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
 from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
+from taciturn.model.delay import DelayLaw, Wait, check_delay, wait_from
 from taciturn.model.estimate import Estimate
 from taciturn.model.key import stated_as
 from taciturn.model.losses import LossLaw
@@ -39,10 +40,16 @@ class LinkLaw(Displayed):
         battery: joules in the battery of the sender, or None.
         min_interval: least number of steps from one send to the next.
         max_interval: largest number of steps from one send to the next, or None.
+        delay: law of the delay of packets: a whole number of steps, a list of probabilities of 0, 1, 2, … steps, or a
+            table: ``{"seconds": 0.004}``, ``{"seconds": […], "probability": […]}``, ``{"histogram": "file.csv"}``,
+            ``{"trace": "file.csv"}``, or with a burst ``{"states": [law, law]}``; default: no delay.
+        buffer: steps, or ``{"seconds": x}``, after which the receiver uses each packet; a later one is lost. None: it
+            uses a packet when it arrives.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], loss and burst are both given, a range, price or energy is not
-            positive, a battery is given without the energy of a packet, or no interval is within the limits.
+            positive, a battery is given without the energy of a packet, no interval is within the limits, or delay and
+            buffer have different units or drop every packet.
 
     Example:
         >>> LinkLaw(loss=0.1).protocol, LinkLaw().protocol
@@ -59,6 +66,8 @@ class LinkLaw(Displayed):
     battery: float | None = None
     min_interval: int = 1
     max_interval: int | None = None
+    delay: DelayLaw | None = field(default=None, metadata=stated_as(float | list[float] | dict[str, Any] | None))
+    buffer: Wait | None = field(default=None, metadata=stated_as(int | dict[str, Any] | None))
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -73,7 +82,8 @@ class LinkLaw(Displayed):
                 object.__setattr__(self, "acknowledged", self.acknowledged or False)
                 object.__setattr__(self, "burst", None)
         object.__setattr__(self, "loss", loss)  # a float even if the integer 0 was given
-        if self.acknowledged is None and (loss > 0 or self.burst is not None):
+        self._check_delay()
+        if self.acknowledged is None and (loss > 0 or self.burst is not None or self._drops):
             object.__setattr__(self, "acknowledged", False)
         choice("payload", self.payload, CODES)
         if self.range is not None:
@@ -101,6 +111,58 @@ class LinkLaw(Displayed):
                 "≥ min_interval"
             )
 
+    def _check_delay(self) -> None:
+        """Check law of delay and buffer, and convert them from the forms of a problem file."""
+        law = check_delay(self.delay)
+        if law is not None and len(law.odds) > 1 and (self.burst is None or len(self.burst.losses) != len(law.odds)):
+            states = "no burst" if self.burst is None else f"a burst with {number_of(len(self.burst.losses), 'state')}"
+            raise ProblemError(
+                f"delay.states has {number_of(len(law.odds), 'law')}, and the link has {states}; expected a burst with "
+                "as many states"
+            )
+        buffer = None if self.buffer is None else wait_from("buffer", self.buffer)
+        if buffer is not None and law is not None:
+            if law.in_seconds != (buffer.steps == 0 and buffer.seconds > 0):
+                raise ProblemError(
+                    f"buffer is {buffer.text()}, and delay is {law.text()}; expected both in steps or both in seconds"
+                )
+            if all(late >= 1.0 for late in law.later_than(buffer)):
+                raise ProblemError(
+                    f"buffer is {buffer.text()}, and the least delay is {law.wait(0).text()}, so every packet is late; "
+                    "expected a larger buffer"
+                )
+        object.__setattr__(self, "delay", law)
+        object.__setattr__(self, "buffer", buffer if buffer is not None and any(buffer) else None)
+        if buffer is not None and not any(buffer) and law is not None:
+            raise ProblemError("buffer is 0, and packets are delayed; expected a buffer above 0, or no buffer")
+
+    @property
+    def _drops(self) -> bool:
+        """Whether delays let a sender doubt that, or when, a packet has arrived."""
+        if self.delay is None or self.delay.constant is not None:
+            return False
+        return self.buffer is None or any(self.delay.later_than(self.buffer))
+
+    @property
+    def wait(self) -> Wait:
+        """The delay after which the receiver uses each packet that it uses, if it is always the same; otherwise 0."""
+        constant = None if self.delay is None else self.delay.constant
+        return self.buffer or constant or Wait()
+
+    def played(self) -> LinkLaw:
+        """Return the link without its constant delay. A packet that arrives later than the buffer counts as lost.
+
+        A link whose delays are random, and whose receiver has no buffer, is returned as it is.
+        """
+        law, buffer = self.delay, self.buffer
+        if law is None or law.constant is not None:
+            return replace(self, delay=None, buffer=None) if law is not None or buffer is not None else self
+        if buffer is None:
+            return self
+        losses = law.losses(buffer, self.loss, self.burst)
+        lost = {"loss": losses, "burst": None} if isinstance(losses, float) else {"loss": 0.0, "burst": losses}
+        return replace(self, delay=None, buffer=None, **lost)
+
     @property
     def protocol(self) -> str:
         """Protocol of the link: ``"ideal"`` (no losses), ``"tcp"`` (acknowledgements) or ``"udp"`` (no
@@ -114,12 +176,14 @@ class LinkLaw(Displayed):
         return {"min_interval": self.min_interval, "max_interval": self.max_interval}
 
     def spending(self) -> str:
-        """Describe price and energy per packet, battery and limits on send intervals, as far as they are given."""
+        """Describe price, energy, battery, limits on send intervals, delay and buffer, as far as they are given."""
         parts = [f"price {self.price:g}"] if self.price != 1.0 else []
         parts += [] if self.energy is None else [f"{self.energy:g} J per packet"]
         parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
         parts += [f"at least {number_of(self.min_interval, 'step')} between sends"] if self.min_interval > 1 else []
         parts += [] if self.max_interval is None else [f"at most {number_of(self.max_interval, 'step')} between sends"]
+        parts += [] if self.delay is None else [f"delay {self.delay.text()}"]
+        parts += [] if self.buffer is None else [f"each packet is used after {self.buffer.text()}"]
         return "".join(f"; {part}" for part in parts)
 
     @property

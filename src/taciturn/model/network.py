@@ -432,6 +432,9 @@ class Network(Displayed):
                 text = ", ".join(f"{lost}{TOLD[self.links[link].protocol]}" for link, lost in losses.items())
         if self.delay:
             text += f"; {number_of(self.delay, 'step')} of delay"
+        for link, law in self.links.items():
+            text += "" if law.delay is None else f"; {link} delays packets ({law.delay.text()})"
+            text += "" if law.buffer is None else f"; {link} uses them after {law.buffer.text()}"
         for node, law in self.missing.items():
             share = law.loss if isinstance(law, LossLaw) else law
             text += f"; {percent(share)} of the samples of {node} are missing"
@@ -475,11 +478,11 @@ class Network(Displayed):
 
     def burst(self, link: str) -> LossLaw | None:
         """Return the model of a link's bursty losses; None if its losses are not bursty."""
-        return self.links[link].burst
+        return self.links[link].played().burst
 
     def loss(self, link: str) -> float:
         """Return the loss probability of a link. If losses are bursty, it is that of the stationary distribution."""
-        return self.links[link].mean_loss
+        return self.links[link].played().mean_loss
 
     def acknowledges(self, link: str) -> bool:
         """Return whether a link drops packets, and its sender receives acknowledgements of those that arrive."""
@@ -531,6 +534,20 @@ class Network(Displayed):
     def unlimited(self) -> Network:
         """A copy of the network without limits on the number of steps between sends."""
         return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
+
+    def played(self) -> Network:
+        """Return a copy of the network without constant delays, which the plant of a design shows instead."""
+        late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
+        return (
+            replace(self, links={**self.links, **{name: law.played() for name, law in late.items()}}) if late else self
+        )
+
+    def delayed_as(self, other: Network) -> Network:
+        """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
+        late = {name: law for name, law in other.links.items() if law.delay is not None or law.buffer is not None}
+        same = ("delay", "buffer", "loss", "burst", "acknowledged")
+        laws = {name: {key: getattr(law, key) for key in same} for name, law in late.items() if name in self.links}
+        return self.changed(laws) if laws else self
 
     @property
     def delivery(self) -> Network:

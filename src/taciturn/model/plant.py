@@ -50,6 +50,7 @@ from taciturn.model.noise import Noise
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
+from taciturn.model.transport import Transport
 from taciturn.model.trigger import Matrix, Scheduled
 
 
@@ -163,6 +164,8 @@ class DisplayedPlant(Displayed):
     # of the simulated plant, which designs do not look at
     loads: tuple[Load, ...] = field(default=(), metadata=NO_KEY, kw_only=True)
     operating_point: OperatingPoint | None = field(metadata=stated_as(table_of(OperatingPoint) | None))
+    # constant delays of its inputs and outputs over the links of a network
+    transport: Transport | None = field(default=None, metadata=NO_KEY, kw_only=True)
     # for text and figures; a plant with further states and outputs keeps the names of the first ones
     names: Names | None = field(default=None, compare=False, kw_only=True, metadata=NO_KEY)
     continuous: ClassVar[bool] = True
@@ -415,8 +418,9 @@ class Plant(DisplayedPlant):
     function: Dynamics | None = field(metadata=stated_as(str | None))
     # the plant without its disturbances, set-points and registers, if these are states here
     alone: Plant | None = field(default=None, metadata=NO_KEY)
-    # inputs whose values in the step before are states, after those of the plant
+    # inputs whose values in earlier steps are states, after those of the plant, and after them outputs of earlier steps
     registers: tuple[int, ...] = field(default=(), metadata=NO_KEY)
+    stored: tuple[int, ...] = field(default=(), metadata=NO_KEY)
     # of set-points, the last states, which are also outputs
     changes: RandomSteps | SampledChanges | None = field(default=None, metadata=NO_KEY)
     # what the state moves by at the point that states and inputs are relative to
@@ -474,8 +478,8 @@ class Plant(DisplayedPlant):
 
     @property
     def stated(self) -> int:
-        """Number of states, without the registers that a direct feedthrough adds to store previous inputs."""
-        return self.states - len(self.registers)
+        """Number of states, without the registers that delays or a direct feedthrough add for earlier inputs."""
+        return self.states - len(self.registers) - len(self.stored)
 
     @property
     def sensed(self) -> int:
@@ -494,8 +498,8 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limits."""
-        start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers", "loads"}
-        apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit", "names"}
+        apart = {"mean", "covariance", "dt", "function", "full_state", "operating_point", "stated_limit", "names"}
+        apart |= {"exosystem", "alone", "changes", "registers", "stored", "loads", "transport"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:

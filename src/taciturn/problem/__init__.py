@@ -52,6 +52,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, set_names
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
+from taciturn.model.transport import transport_of, with_transport
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
 from taciturn.problem.read import (
     NAMING,
@@ -134,6 +135,10 @@ class Problem(Displayed):
         instance("network", self.network, Network)
         instance("own", self.own or self.record, Kind)
         self._share_names()
+        for name in ("plant", "actual"):
+            stated = getattr(self, name)
+            if stated is not None:
+                object.__setattr__(self, name, with_transport(stated, transport_of(stated, self.network)))
         if self.limits is not None:
             instance("limits", self.limits, Limits)
             self.limits.expect_states(len(self.plant.A))

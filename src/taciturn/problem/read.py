@@ -280,6 +280,9 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         found["disturbance"] = [
             _located(cast("Mapping[str, Any]", one), folder) if isinstance(one, Mapping) else one for one in listed
         ]
+    for key in ("links", "network"):
+        if isinstance(found.get(key), Mapping):
+            found[key] = _with_delays_located(cast("Mapping[str, Any]", found[key]), folder)
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
             found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)
@@ -294,6 +297,18 @@ def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Convert a relative path of the key ``file`` of a table to an absolute one."""
     path = table.get("file")
     return {**table, "file": str((folder / path).absolute())} if isinstance(path, str) else dict(table)
+
+
+def _with_delays_located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Convert the relative paths of files of delays, in [links.NAME] or [network], to absolute ones."""
+    found = dict(table)
+    for key, value in found.items():
+        if isinstance(value, Mapping):
+            files = cast("Mapping[str, Any]", value)
+            named = {form: files[form] for form in ("histogram", "trace") if isinstance(files.get(form), str)}
+            located = {form: str((folder / path).absolute()) for form, path in named.items()}
+            found[key] = {**_with_delays_located(files, folder), **located}
+    return found
 
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:

@@ -174,9 +174,6 @@ def _given(keys: Mapping[str, object], arguments: Mapping[str, str]) -> dict[str
     return {arguments[name]: value for name, value in keys.items() if value is not None}
 
 
-NO_DELAY = ("delay", "buffer")  # keys of a link that have a message of their own
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class InitialKeys(Displayed):
     """Keys of the table ``[plant.initial]``: mean and covariance of the initial state."""
@@ -298,6 +295,10 @@ class NetworkTable(Displayed):
     actuator_loss: float = 0.0
     sensor_loss: float = 0.0
     delay: int = 0
+    actuator_delay: float | list[float] | dict[str, Any] | None = None
+    sensor_delay: float | list[float] | dict[str, Any] | None = None
+    actuator_buffer: int | dict[str, Any] | None = None
+    sensor_buffer: int | dict[str, Any] | None = None
     actuator_burst: dict[str, Any] | None = None
     sensor_burst: dict[str, Any] | None = None
     payload: str = "float64"
@@ -337,8 +338,6 @@ def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()
     place = [*place, first["loc"][-1]] if extra else place
     whole = [*within, *place]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in whole).removeprefix(".")
-    if extra and place[0] == "links" and place[-1] in NO_DELAY:
-        return f"{where} is given, but links model no delay yet; expected no {place[-1]}: remove it"
     if extra:
         names = _keys_at(root, [part for part in place[:-1] if isinstance(part, str)])
         return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(place[-1]), names)}"

@@ -1,0 +1,91 @@
+"""Constant delays as properties of a plant: its inputs act later than they are commanded, and its outputs are old.
+
+A link that delays every packet by the same time, or whose receiver uses each packet so long after it was sent
+(``LinkLaw.buffer``), leaves the order of all operations as it is: each node carries out its step k later than the node
+before it by the delay of the link. Seen from the plant, the input that the controller commands for step k acts later,
+and the outputs of which it is computed are older. So the link is one without delay, at a plant with delays, and every
+design, theorem, program and packet is that of a plant without delays (``lqg.transport``).
+
+A loop that is later as a whole is the same loop, so only sums matter: a delay that all outputs share delays the inputs.
+The controller acts when the latest sample of a step has arrived, which sets the part of a period that it waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taciturn._arrays import Array, set_fields
+from taciturn._display import Displayed
+from taciturn.model.delay import WHOLE, Wait
+
+if TYPE_CHECKING:
+    from taciturn.model.network import Network
+    from taciturn.model.plant import AnyPlant, DisplayedPlant
+
+
+@dataclass(frozen=True, repr=False)
+class Transport(Displayed):
+    """The constant delays after which each input of a plant acts, and with which each output is read."""
+
+    inputs: tuple[Wait, ...]
+    outputs: tuple[Wait, ...]
+
+    @staticmethod
+    def of(inputs: Sequence[Wait], outputs: Sequence[Wait]) -> Transport | None:
+        """Return the delays, or None if all are 0."""
+        return Transport(tuple(inputs), tuple(outputs)) if any(map(any, (*inputs, *outputs))) else None
+
+    def periods(self, period: float) -> tuple[Array, tuple[int, ...]]:
+        """Return after how many periods each input acts, (m,), and by how many steps each output is older than the
+        newest.
+        """
+        read = [wait.periods(period) for wait in self.outputs]
+        part = max((wait % 1.0 for wait in read), default=0.0)
+        steps = [int(wait // 1) for wait in read]
+        least = min(steps, default=0)
+        acts = np.array([wait.periods(period) for wait in self.inputs]) + (least + part)
+        whole = np.round(acts)
+        return np.where(np.abs(acts - whole) <= WHOLE, whole, acts), tuple(one - least for one in steps)
+
+    def text(self) -> str:
+        """Describe the delays in a few words."""
+        named = {"input": self.inputs, "output": self.outputs}
+        found = [(name, i, wait) for name, waits in named.items() for i, wait in enumerate(waits, start=1) if any(wait)]
+        return ", ".join(f"{name} {i} {wait.text()} late" for name, i, wait in found)
+
+    def short(self) -> str:
+        """Describe the delays in a few words."""
+        return self.text()
+
+
+def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
+    """Return a plant with the constant delays of the links of a network; a network without any changes no plant."""
+    found = transport_of(plant, network)
+    return plant if found is None or plant.transport == found else with_transport(plant, found)
+
+
+def with_transport(plant: AnyPlant, transport: Transport | None) -> AnyPlant:
+    """Return a copy of a plant with other constant delays."""
+    late = copy(plant)
+    set_fields(late, {"transport": transport})
+    return late
+
+
+def transport_of(plant: DisplayedPlant, network: Network) -> Transport | None:
+    """Return the delays of inputs and outputs over the links of a network; None if no link has a constant delay."""
+    waits = {name: law.wait for name, law in network.links.items() if any(law.wait)}
+    if not waits:
+        return None
+    found = {"measures": [Wait()] * len(plant.C), "applies": [Wait()] * plant.inputs}
+    for name, wait in waits.items():
+        role = network.nodes[name]
+        for key, listed in found.items():
+            for index in role.entries("measures" if key == "measures" else "applies", len(listed)):
+                if index < len(listed):  # an index that is too large has a message of its own
+                    listed[index] = wait
+    return Transport.of(found["applies"], found["measures"])
