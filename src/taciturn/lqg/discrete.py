@@ -49,7 +49,7 @@ from taciturn.lqg.cache import MOST_PROBLEMS, remembered
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic, worth_of
-from taciturn.lqg.registers import expect_digits, parts_of, registers_from, with_registers
+from taciturn.lqg.registers import Pieces, cuts_of, expect_digits, registers_from, with_registers
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import Exact, Sampled, Source, sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -81,7 +81,7 @@ LASTING = (
     "networks begin before it"
 )
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
-HIDDEN = "source", "rest", "instants", "exact", "deviations", "loads"
+HIDDEN = "source", "rest", "instants", "exact", "deviations", "loads", "pieces"
 LEAST = 1e-10  # movement within a period, in units of the state, that leaves digits of what a plant does in a step
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
@@ -107,6 +107,7 @@ class Discrete(Displayed):
             it only has A, B and W.
         deviations: with disturbances and set-points, the deviations by construction, whose problem has the cost.
         loads: the loads of a simulated plant; None in a design.
+        pieces: the same problem with another input in each piece of a period, if packets arrive within periods.
     """
 
     plant: Plant
@@ -125,6 +126,7 @@ class Discrete(Displayed):
     exact: Exact | None = None
     deviations: Followed | None = None
     loads: SampledLoads | None = None
+    pieces: Pieces | None = None
 
     def regulator(self) -> Regulator:
         """Compute the optimal regulator for an average cost or a discounted cost.
@@ -277,7 +279,11 @@ class Discrete(Displayed):
 
 
 def discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None = None,
+    cuts: tuple[float, ...] = (),
 ) -> Discrete:
     """Convert a plant and a cost to a discrete-time control problem. A continuous-time plant is sampled exactly.
 
@@ -286,6 +292,7 @@ def discretise(
         cost: cost per step of a discrete plant, or per second of a continuous one.
         period: seconds between steps; only for a continuous plant.
         prediction: model that the actuator runs between steps; the input is then the state of this model.
+        cuts: parts of a period, in (0, 1), at which packets may arrive and change an input (``Discrete.pieces``).
 
     Returns:
         The discrete plant with the weights of one step.
@@ -300,17 +307,21 @@ def discretise(
     instance("cost", cost, Cost)
     plant = altered(plant, {"loads": ()}) if plant.loads else plant  # designs do not know them
     compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
-    return compute(plant, cost, period, prediction)
+    return compute(plant, cost, period, prediction, cuts)
 
 
 def _discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
+    cuts: tuple[float, ...],
 ) -> Discrete:
     """Return the discrete-time control problem of checked data."""
     SIMULATED.check(plant, cost)
-    if plant.D is not None or plant.exosystem is not None or plant.transport is not None:
-        return _with_added_states(plant, cost, period, prediction)
-    return _sampled(plant, cost, period, prediction, None)
+    if plant.D is not None or plant.exosystem is not None or plant.transport is not None or cuts:
+        return _with_added_states(plant, cost, period, prediction, cuts)
+    return _sampled(plant, cost, period, prediction, (0.0,))
 
 
 def _sampled(
@@ -318,9 +329,9 @@ def _sampled(
     cost: Cost,
     period: float | None,
     prediction: Prediction | None,
-    parts: tuple[float, ...] | None,
+    cuts: tuple[float, ...],
 ) -> Discrete:
-    """Return the problem of a plant without further states. With ``parts``, its inputs are those before and after."""
+    """Return the problem of a plant without further states. Its inputs are those of each piece of a period."""
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected the shapes "
@@ -354,7 +365,7 @@ def _sampled(
             f"{np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
-        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period, parts=parts)
+        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period, cuts=cuts)
     else:
         limit, rate = plant.input_limit, plant.input_rate
         given = {
@@ -379,7 +390,7 @@ def _sampled(
         ) from None
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     limit, rate = plant.input_limit, None if plant.input_rate is None else period * plant.input_rate
-    limit, rate = (None, None) if parts else (limit, rate)  # of the commands, which are states
+    limit, rate = (limit, rate) if len(cuts) == 1 else (None, None)  # of the commands, which are states
     discrete = derived_plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, limit, input_rate=rate
     )
@@ -396,12 +407,16 @@ _of_data = remembered(_discretise, MOST_PROBLEMS)
 
 
 def _with_added_states(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
+    given_cuts: tuple[float, ...],
 ) -> Discrete:
     """Return the problem of a plant with its disturbances, and with registers of late inputs and of those that its
     outputs show.
     """
-    e, late = plant.exosystem, plant.D is not None or plant.transport is not None
+    e, late = plant.exosystem, plant.D is not None or plant.transport is not None or bool(given_cuts)
     given = [(e is not None, "disturbances or set-points are given")]
     given += [(plant.D is not None, "the outputs have a direct feedthrough D"), (late, "a link delays its packets")]
     added = next(what for holds, what in given if holds)
@@ -415,26 +430,28 @@ def _with_added_states(
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{added}, and {got}")
-    parts = _parts(plant, period)
-    found = _sampled(altered(plant, {"D": None, "exosystem": None, "transport": None}), cost, period, prediction, parts)
+    cuts = _cuts(plant, period, given_cuts)
+    found = _sampled(altered(plant, {"D": None, "exosystem": None, "transport": None}), cost, period, prediction, cuts)
     if e is not None:
-        found = joined(found, plant, e, parts)
-    return with_registers(found, plant) if late else found
+        found = joined(found, plant, e, cuts)
+    return with_registers(found, plant, given_cuts) if late else found
 
 
-def _parts(plant: Plant | ContinuousPlant, period: float | None) -> tuple[float, ...] | None:
-    """Return the part of a period that each input waits before it acts; None if all wait whole periods."""
-    if plant.transport is None:
-        return None
+def _cuts(plant: Plant | ContinuousPlant, period: float | None, given: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the parts of a period at which the input that acts may change."""
+    if plant.transport is None and not given:
+        return (0.0,)
     if isinstance(plant, ContinuousPlant):
-        return None if period is None else parts_of(plant, number("period", period, 0.0))
+        return (0.0,) if period is None else cuts_of(plant, number("period", period, 0.0), given)
+    if plant.transport is None:
+        return (0.0,)
     seconds = [wait.seconds for wait in (*plant.transport.inputs, *plant.transport.outputs) if wait.seconds]
     if seconds:
         raise ProblemError(
             f"a link has a delay of {seconds[0]:g} seconds, but the plant is discrete in time; expected a whole number "
             "of steps, or a plant that is continuous in time (omit plant.dt)"
         )
-    return None
+    return (0.0,)
 
 
 BEYOND = 1e-9  # rounding of an input at its limit
@@ -473,11 +490,11 @@ def moved_inputs(U: Array, S: Array) -> Array:
 
 
 def joined(
-    base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem, parts: tuple[float, ...] | None = None
+    base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem, cuts: tuple[float, ...] = (0.0,)
 ) -> Discrete:
     """Extend the state of a problem by an exosystem d. Its cost then weights deviations from targets that d sets."""
     plant, e = base.plant, exosystem
-    n, q, m = plant.states, len(e.S), plant.inputs  # with parts, the inputs are twice those of the source
+    n, q, m = plant.states, len(e.S), plant.inputs  # with several pieces, m is a multiple of the source's inputs
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W, noise_cost, instants, exact, own = block_diagonal(source.W, e.W), base.noise_cost, False, None, None
     stage = np.block([[base.Q, base.N], [base.N.T, base.R]])
@@ -496,11 +513,11 @@ def joined(
             )
         k = source.inputs
         B, none = np.vstack([source.B, np.zeros((q, k))]), np.zeros((n + q, n + q))
-        sampled = sample(A, B, none, np.zeros((k, k)), np.zeros((n + q, k)), W, base.tick, parts=parts)
+        sampled = sample(A, B, none, np.zeros((k, k)), np.zeros((n + q, k)), W, base.tick, cuts=cuts)
         A, W, exact = sampled.A, sampled.W, sampled.exact
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
-        if instants and parts is not None:
+        if instants and len(cuts) > 1:
             raise ProblemError(
                 "an input acts a part of a period late, and a disturbance changes the input that it needs between "
                 "samples; expected delays of whole periods, or a disturbance that is constant between samples"
@@ -509,8 +526,8 @@ def joined(
             X, U = _equations(plant, replace(e, S=A[n:, n:], E=A[:n, n:]), base)
             noise_cost = 0.0
         else:
-            within = _within_a_period(source, e, base.cost, X, U, given, base.tick, parts)
-            U = U if parts is None else np.vstack([U, U])
+            within = _within_a_period(source, e, base.cost, X, U, given, base.tick, cuts)
+            U = np.tile(U, (len(cuts), 1))
             own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
@@ -566,7 +583,7 @@ def _within_a_period(
     U: Array,
     given: int,
     period: float,
-    parts: tuple[float, ...] | None,
+    cuts: tuple[float, ...],
 ) -> Sampled:
     """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are
     used.
@@ -580,7 +597,7 @@ def _within_a_period(
     D = np.hstack([np.zeros((m, n)), -moved_inputs(U, e.S)])
     B, N = (np.vstack([part, np.zeros((q, m))]) for part in (plant.B, cost.N))
     A, Q = block_diagonal(plant.A, e.S), block_diagonal(cost.Q, rest)
-    return sample(A, B, Q, cost.R, N, W, period, D, parts)
+    return sample(A, B, Q, cost.R, N, W, period, D, cuts)
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:

@@ -3,14 +3,16 @@
 An input that acts d + r periods after it was commanded, with a whole number d and 0 ≤ r < 1, acts from kh + rh on until
 the next one does. Within a period, the input before it acts first,
 
-    b = u_{k−d−1} in [0, r),   a = u_{k−d} in [r, 1)   (in periods),
+    u_{k−d−1} in [0, r),   u_{k−d} in [r, 1)   (in periods),
 
-for which ``sample`` integrates plant and cost exactly, as a problem with the inputs (b, a). Chains of registers hold
-the commands, z₁⁺ = u, z₂⁺ = z₁, …, so (b, a) = G_z z + G_u u, and the problem in (x, z) and u has
+The parts r of all inputs cut a period into pieces, for which ``sample`` integrates plant and cost exactly, as a problem
+whose inputs are those of each piece, a = (a_0, a_1, …). Chains of registers hold the commands, z₁⁺ = u, z₂⁺ = z₁, …, so
+a = G_z z + G_u u, and the problem in (x, z) and u has
 
     x⁺ = A x + B (G_z z + G_u u) + w,   stage [x; G_z z + G_u u]' M [x; G_z z + G_u u],
 
-in general with a cross term between z and u. A sensor takes its sample before the input changes, so y_k = C x_k +
+in general with a cross term between z and u. If packets arrive at random times, another input u_i may act in each piece
+(``Pieces``). A sensor takes its sample before the input changes, so y_k = C x_k +
 D û_{k−1} + v_k shows the input that acts just then, which is in a register as well (with r = 0: z_{d+1}).
 
 An output that is o steps older than others has registers of its own, of the measurement and not of Cx: the noise v is
@@ -41,6 +43,7 @@ from taciturn.lqg.followed import Followed
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.quadratic import Quadratic, placed
 from taciturn.lqg.sampling import Exact, Step
+from taciturn.model.delay import WHOLE
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from, derived_plant
@@ -53,12 +56,12 @@ MOST = 200  # registers of a plant
 
 
 class Registers(NamedTuple):
-    """Registers next to a plant of m inputs and p outputs: (b, a) = G_z z + G_u u and z⁺ = S z + P u + noise."""
+    """Registers of a plant with m inputs and p outputs, for q pieces of a period: a = G_z z + G_u u, z⁺ = S z + P u."""
 
     S: Array  # (r, r)
     P: Array  # (r, m)
-    Gz: Array  # inputs that act, of the registers: (m, r), or (2m, r) for (b, a)
-    Gu: Array  # inputs that act, of the command: (m, m) or (2m, m)
+    Gz: Array  # inputs that act in each piece, of the registers, (qm, r)
+    Gu: Array  # inputs that act in each piece, of the command, (qm, m)
     shown: Array  # outputs of the registers, (p, r)
     old: tuple[tuple[int, int], ...]  # outputs that are old, each with the register that takes it up
     V: Array  # noise of the outputs that remains, (p, p)
@@ -82,16 +85,14 @@ def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
     return [] if plant.D is None else np.flatnonzero(plant.D.any(axis=0)).tolist()
 
 
-def parts_of(plant: Plant | ContinuousPlant, period: float) -> tuple[float, ...] | None:
-    """Return the part of a period that each input waits before it acts; None if all wait whole periods."""
-    if plant.transport is None:
-        return None
-    acts = plant.transport.periods(period)[0]
-    parts = acts - np.floor(acts)
-    return tuple(parts.tolist()) if parts.any() else None
+def cuts_of(plant: Plant | ContinuousPlant, period: float, cuts: Sequence[float] = ()) -> tuple[float, ...]:
+    """Return the parts of a period from which on another input may act: those of late inputs, and further ones."""
+    acts = np.zeros(0) if plant.transport is None else plant.transport.periods(period)[0]
+    parts = sorted({0.0, *cuts, *(acts - np.floor(acts)).tolist()})
+    return tuple(part for i, part in enumerate(parts) if i == 0 or part - parts[i - 1] > WHOLE)
 
 
-def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
+def registers_of(source: Plant | ContinuousPlant, period: float, cuts: Sequence[float] = ()) -> Registers:
     """Return the registers that delays and a direct feedthrough of a plant need."""
     m, p, fed = source.inputs, len(source.C), fed_inputs(source)
     acts, older = (np.zeros(m), (0,) * p) if source.transport is None else source.transport.periods(period)
@@ -110,18 +111,20 @@ def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
             f"the delays need {r} registers for earlier inputs and outputs; expected at most {MOST}: shorter delays, "
             "or a longer period"
         )
-    S, P, Gz, Gu, before = np.zeros((r, r)), np.zeros((r, m)), np.zeros((m, r)), np.zeros((m, m)), np.zeros((m, r))
+    S, P, ahead, before = np.zeros((r, r)), np.zeros((r, m)), np.zeros((m, r)), np.zeros((m, r))
+    direct = np.diag((whole == 0).astype(np.float64))
     for i, depth in enumerate(depths):
         place = int(first[i])
         if depth:
             P[place, i] = 1.0
             S[range(place + 1, place + depth), range(place, place + depth - 1)] = 1.0
         if whole[i]:
-            Gz[i, place + whole[i] - 1] = 1.0
-        else:
-            Gu[i, i] = 1.0
+            ahead[i, place + whole[i] - 1] = 1.0
         if depth > whole[i]:
             before[i, place + whole[i]] = 1.0
+    waits = [(parts > cut + WHOLE)[:, None] for cut in cuts_of(source, period, cuts)]  # by piece, for the last command
+    Gz = np.vstack([np.where(wait, before, ahead) for wait in waits])
+    Gu = np.vstack([np.where(wait, 0.0, direct) for wait in waits])
     shown, V, W = np.zeros((p, r)), source.V.copy(), np.zeros((r, r))
     if source.D is not None:
         shown += source.D @ before
@@ -136,9 +139,6 @@ def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
         shown[j] = np.eye(r)[begins[j + 1] - 1]
     W[np.ix_(begins[old], begins[old])] = V[np.ix_(old, old)]
     V[old], V[:, old] = 0.0, 0.0
-    if parts.any():
-        waits = parts[:, None] > 0
-        Gz, Gu = np.vstack([np.where(waits, before, Gz), Gz]), np.vstack([np.where(waits, 0.0, Gu), Gu])
     took = tuple((j, int(begins[j])) for j in old)
     late = tuple(int(d) for d in whole)
     return Registers(S, P, Gz, Gu, shown, took, V, W, inputs, outputs, tuple(noises), ages, late)
@@ -152,16 +152,47 @@ def _correlated(V: Array, older: Sequence[int]) -> list[int]:
     return np.flatnonzero(closure(apart, joint)).tolist() if apart.any() else []
 
 
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pieces(Displayed):
+    """A problem whose input may be another one in each piece of a period: u_0, u_1, …, one after the other."""
+
+    cuts: tuple[float, ...]  # the parts of a period at which the pieces begin
+    B: Array  # (n, qm)
+    N: Array  # weights of the step, with Q of the problem: (n, qm) and (qm, qm)
+    R: Array
+
+
+def with_registers(problem: Discrete, source: Plant | ContinuousPlant, cuts: Sequence[float] = ()) -> Discrete:
     """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
-    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
+    n, found, before = source.states, registers_of(source, problem.tick, cuts), problem.plant
     takes = found.taking(before.C)
     own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
     exact = problem.exact and Exact(_Extended(problem.exact, n, found, takes))
     if own is not None:
         own = _in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
-    plant = registered(before, source, found)
-    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
+    found_pieces = _pieces(problem, n, found, cuts_of(source, problem.tick, cuts)) if cuts else None
+    return replace(
+        problem, plant=registered(before, source, found), Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own,
+        source=source, pieces=found_pieces,
+    )  # fmt: skip
+
+
+def _pieces(problem: Discrete, n: int, found: Registers, cuts: tuple[float, ...]) -> Pieces:
+    """Return the problem with a command for each piece; registers take up the last one."""
+    kept, new = placed(problem.plant.states, n, len(found.S))
+    m, q, z = found.P.shape[1], len(cuts), new @ found.Gz.T
+    direct = np.zeros((q * m, q * m))
+    for piece in range(q):
+        rows = slice(piece * m, (piece + 1) * m)
+        direct[rows, rows] = found.Gu[rows]
+    last = np.hstack([np.zeros((m, (q - 1) * m)), np.eye(m)])
+    B, N, R = problem.plant.B, problem.N, problem.R
+    return Pieces(
+        cuts,
+        frozen(kept @ B @ direct + new @ found.P @ last),
+        frozen(kept @ N @ direct + z @ R @ direct),
+        frozen(direct.T @ R @ direct),
+    )
 
 
 def _in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: int, takes: Array) -> Followed:
