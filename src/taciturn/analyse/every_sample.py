@@ -80,7 +80,7 @@ def with_every_sample(loop: Loop, baseline: Loop | None = None) -> WithEverySamp
     """
     always = attempt_of(loop.policy)
     plant = loop.problem.plant
-    known = loop.horizon is None and plant.function is None and loop.problem.loads is None
+    known = loop.horizon is None and plant.function is None and loop.problem.loads is None and not loop.network.late
     known = known and not isinstance(plant.changes, SampledChanges)
     if always is None or not known or loop.precision != "float64":
         return None

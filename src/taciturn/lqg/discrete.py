@@ -49,7 +49,7 @@ from taciturn.lqg.cache import MOST_PROBLEMS, remembered
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic, worth_of
-from taciturn.lqg.registers import Pieces, cuts_of, expect_digits, registers_from, with_registers
+from taciturn.lqg.registers import Pieces, cuts_of, expect_digits, pieces_of, registers_from, with_registers
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import Exact, Sampled, Source, sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -307,7 +307,8 @@ def discretise(
     instance("cost", cost, Cost)
     plant = altered(plant, {"loads": ()}) if plant.loads else plant  # designs do not know them
     compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
-    return compute(plant, cost, period, prediction, cuts)
+    found = compute(plant, cost, period, prediction)
+    return replace(found, pieces=_pieces(found, plant, cost, cuts)) if cuts else found
 
 
 def _discretise(
@@ -315,12 +316,11 @@ def _discretise(
     cost: Cost,
     period: float | None,
     prediction: Prediction | None,
-    cuts: tuple[float, ...],
 ) -> Discrete:
     """Return the discrete-time control problem of checked data."""
     SIMULATED.check(plant, cost)
-    if plant.D is not None or plant.exosystem is not None or plant.transport is not None or cuts:
-        return _with_added_states(plant, cost, period, prediction, cuts)
+    if plant.D is not None or plant.exosystem is not None or plant.transport is not None:
+        return _with_added_states(plant, cost, period, prediction)
     return _sampled(plant, cost, period, prediction, (0.0,))
 
 
@@ -411,12 +411,11 @@ def _with_added_states(
     cost: Cost,
     period: float | None,
     prediction: Prediction | None,
-    given_cuts: tuple[float, ...],
 ) -> Discrete:
     """Return the problem of a plant with its disturbances, and with registers of late inputs and of those that its
     outputs show.
     """
-    e, late = plant.exosystem, plant.D is not None or plant.transport is not None or bool(given_cuts)
+    e, late = plant.exosystem, plant.D is not None or plant.transport is not None
     given = [(e is not None, "disturbances or set-points are given")]
     given += [(plant.D is not None, "the outputs have a direct feedthrough D"), (late, "a link delays its packets")]
     added = next(what for holds, what in given if holds)
@@ -430,21 +429,39 @@ def _with_added_states(
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{added}, and {got}")
-    cuts = _cuts(plant, period, given_cuts)
-    found = _sampled(altered(plant, {"D": None, "exosystem": None, "transport": None}), cost, period, prediction, cuts)
-    if e is not None:
-        found = joined(found, plant, e, cuts)
-    return with_registers(found, plant, given_cuts) if late else found
+    found = _by_pieces(plant, cost, period, _cuts(plant, period))
+    return with_registers(found, plant) if late else found
 
 
-def _cuts(plant: Plant | ContinuousPlant, period: float | None, given: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the parts of a period at which the input that acts may change."""
-    if plant.transport is None and not given:
-        return (0.0,)
-    if isinstance(plant, ContinuousPlant):
-        return (0.0,) if period is None else cuts_of(plant, number("period", period, 0.0), given)
+def _by_pieces(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, cuts: tuple[float, ...]) -> Discrete:
+    """Return the problem of a plant, without its delays, whose inputs are those that act in each piece of a period."""
+    bare = altered(plant, {"D": None, "exosystem": None, "transport": None})
+    found = _sampled(bare, cost, period, None, cuts)
+    return found if plant.exosystem is None else joined(found, plant, plant.exosystem, cuts)
+
+
+def _pieces(problem: Discrete, plant: Plant | ContinuousPlant, cost: Cost, cuts: tuple[float, ...]) -> Pieces:
+    """Return the problem in which packets may change the inputs at parts of a period."""
+    if problem.prediction is not None or problem.jumps is not None:
+        what = "the actuator predicts" if problem.prediction is not None else "the plant has jumps"
+        raise ProblemError(
+            f"{what}, and packets arrive at random within a period; expected delays of whole periods, or a buffer"
+        )
+    if not problem.sampled:
+        raise ProblemError(
+            "a link has a delay in seconds, but the plant is discrete in time; expected a whole number of steps, or a "
+            "plant that is continuous in time (omit plant.dt)"
+        )
+    whole = cuts_of(plant, problem.tick, cuts)
+    return pieces_of(_by_pieces(plant, cost, problem.tick, whole), plant, whole)
+
+
+def _cuts(plant: Plant | ContinuousPlant, period: float | None) -> tuple[float, ...]:
+    """Return the parts of a period at which the input that acts changes."""
     if plant.transport is None:
         return (0.0,)
+    if isinstance(plant, ContinuousPlant):
+        return (0.0,) if period is None else cuts_of(plant, number("period", period, 0.0))
     seconds = [wait.seconds for wait in (*plant.transport.inputs, *plant.transport.outputs) if wait.seconds]
     if seconds:
         raise ProblemError(

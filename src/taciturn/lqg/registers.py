@@ -162,23 +162,21 @@ class Pieces(Displayed):
     R: Array
 
 
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant, cuts: Sequence[float] = ()) -> Discrete:
+def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
     """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
-    n, found, before = source.states, registers_of(source, problem.tick, cuts), problem.plant
+    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
     takes = found.taking(before.C)
     own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
     exact = problem.exact and Exact(_Extended(problem.exact, n, found, takes))
     if own is not None:
         own = _in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
-    found_pieces = _pieces(problem, n, found, cuts_of(source, problem.tick, cuts)) if cuts else None
-    return replace(
-        problem, plant=registered(before, source, found), Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own,
-        source=source, pieces=found_pieces,
-    )  # fmt: skip
+    plant = registered(before, source, found)
+    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
 
 
-def _pieces(problem: Discrete, n: int, found: Registers, cuts: tuple[float, ...]) -> Pieces:
-    """Return the problem with a command for each piece; registers take up the last one."""
+def pieces_of(problem: Discrete, source: Plant | ContinuousPlant, cuts: tuple[float, ...]) -> Pieces:
+    """Return a problem, whose inputs are those that act, with a command for each piece; registers hold the last one."""
+    n, found = source.states, registers_of(source, problem.tick, cuts)
     kept, new = placed(problem.plant.states, n, len(found.S))
     m, q, z = found.P.shape[1], len(cuts), new @ found.Gz.T
     direct = np.zeros((q * m, q * m))

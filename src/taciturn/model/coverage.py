@@ -105,6 +105,8 @@ BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
+# random delays of packets, of which a sender with acknowledgements learns the time of arrival
+LATE = names("DelayLaw", "waits odds in_seconds sequence block") | names("Acted", "link age piece") | {"links.delay"}
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
 LINEAR_LOOP = LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
@@ -137,7 +139,7 @@ class Coverage(Displayed):
         return f"{name} is given, which {self.refusal}; expected {self.remedy}"
 
 
-SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
+SIMULATED = Coverage(LOOPS | LATE, "designs and simulations do not model")
 
 
 def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:

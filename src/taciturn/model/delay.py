@@ -41,6 +41,7 @@ LONGEST = 1000  # steps of a delay
 MOST_BYTES = 2**24  # of a file of delays
 MOST_PACKETS = 100_000  # of a trace
 SUMS = 1e-9  # largest excess over 1 of a sum of probabilities
+MOST_PIECES = 16  # parts of a period that random delays distinguish; those between are rounded
 WHOLE = 1e-9  # part of a period below which a delay is a whole number of periods
 KEYS = ("seconds", "probability", "histogram", "trace", "states")
 FORMS = (
@@ -83,6 +84,7 @@ class DelayLaw(Displayed):
     odds: tuple[tuple[float, ...], ...]  # their probabilities, one row for each state of the link
     in_seconds: bool = False  # whether delays are in seconds, or in whole steps
     sequence: tuple[int, ...] = ()  # of a trace: the delay of each packet as an index of ``waits``; their number: lost
+    block: float = 1.0  # mean number of packets of a trace that are replayed in turn
 
     @property
     def constant(self) -> Wait | None:
@@ -146,6 +148,25 @@ class DelayLaw(Displayed):
         """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
         weights = np.mean(np.array(self.odds), axis=0)
         return float(np.dot(self.waits, weights) / weights.sum())
+
+    def in_periods(self, period: float) -> DelayLaw:
+        """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
+        waits = np.array(self.waits) / (period if self.in_seconds else 1.0)
+        whole = np.round(waits)
+        waits = np.where(np.abs(waits - whole) <= WHOLE, whole, waits)
+        parts = waits - np.floor(waits)
+        if len(np.unique(parts.round(9))) > MOST_PIECES:
+            waits = np.floor(waits) + np.round(parts * MOST_PIECES) / MOST_PIECES
+        found, places = np.unique(waits.round(12), return_inverse=True)
+        odds = np.zeros((len(self.odds), len(found)))
+        for column, place in enumerate(places.ravel().tolist()):
+            odds[:, place] += np.array(self.odds)[:, column]
+        renamed = [*places.ravel().tolist(), len(found)]
+        rows = tuple(tuple(row) for row in odds.tolist())
+        return replace(
+            self, waits=tuple(found.tolist()), odds=rows, in_seconds=False,
+            sequence=tuple(renamed[one] for one in self.sequence),
+        )  # fmt: skip
 
     def text(self) -> str:
         """Describe the law in a few words."""
@@ -300,7 +321,8 @@ def _of_trace(name: str, rows: Array) -> DelayLaw:
     waits = np.unique(delays[came])
     places = np.where(came, np.searchsorted(waits, np.where(came, delays, waits[0])), len(waits))
     counts = np.bincount(places, minlength=len(waits) + 1)[:-1] / len(places)
-    return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()))
+    block = max(1.0, round(len(places) ** (1 / 3)))  # the order at which bias and variance of a mean balance
+    return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()), block)
 
 
 def _numbers(name: str, path: str, form: str) -> Array:

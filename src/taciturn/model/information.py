@@ -23,7 +23,7 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
-from taciturn.model.coverage import INTERVALS, STEPS, TRACKING, Coverage
+from taciturn.model.coverage import INTERVALS, LATE, STEPS, TRACKING, Coverage
 from taciturn.model.network import PROTOCOL, Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import Policy, at_rest
@@ -44,7 +44,7 @@ from taciturn.model.steps import (
 )
 from taciturn.model.trigger import Form, Scheduled
 
-INFORMED = Coverage(STEPS | TRACKING | INTERVALS, "the check of the information pattern does not know")
+INFORMED = Coverage(STEPS | TRACKING | INTERVALS | LATE, "the check of the information pattern does not know")
 Site: TypeAlias = frozenset[str]
 
 
@@ -70,6 +70,8 @@ def check_network(policy: Policy, network: Network) -> None:
                 f"{kept[name]}; expected the limits of the design, or the loop that `close` returns, whose policy "
                 "keeps the limits of the network"
             )
+    for link in network.late:
+        _expect_held(policy, network, link)
     packet_shapes(policy, network)
     _expect_within_ranges(policy, network)
     carrying = links_of(policy)
@@ -87,6 +89,40 @@ def check_network(policy: Policy, network: Network) -> None:
                 f"{stated[0]} is given, but no node of the policy {policy.kind} receives a packet on the {link} link; "
                 f"expected properties of {others or 'no link'} only: remove {stated[0]}"
             )
+
+
+def _expect_held(policy: Policy, network: Network, link: str) -> None:
+    """Raise an error unless packets of a link with random delays only replace a value that the receiver holds."""
+    key = network.key(link, "delay")
+    others = [location.on for location in policy.locations]
+    others += [step.on for step in policy.steps if isinstance(step, Evaluate)]
+    taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
+    sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
+    if sent is None:
+        return
+    by = [step.signal for step in policy.steps if isinstance(step, Assign)]
+    held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
+    if not held or any(policy.steps.index(step) < sent for step in taken):
+        raise ProblemError(
+            f"{key} is random, but a node of the policy {policy.kind} that receives packets on the {link} link does "
+            "more than to hold their last value, and would have to know how old a packet is; expected a constant "
+            f"delay, {network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
+        )
+    if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
+        raise ProblemError(
+            f"{key} is random, but the policy {policy.kind} needs to know at the end of a step whether its packet on "
+            f"the {link} link has arrived; expected {network.key(link, 'buffer')} below one period, the policy kind "
+            "excess, or a link without acknowledgements"
+        )
+
+
+def _is_held(step: Assign) -> bool:
+    """Return whether a signal keeps its value, or becomes 0, if no packet arrives."""
+    silent = step.branches[0]
+    if not set(silent) <= {step.signal}:
+        return False
+    own = silent.get(step.signal)
+    return own is None or (isinstance(own, np.ndarray) and (not own.any() or np.array_equal(own, np.eye(len(own)))))
 
 
 def links_of(policy: Policy) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from taciturn._arrays import Array, count, flag, instance, number, quoted
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
+from taciturn.model.delay import DelayLaw
 from taciturn.model.key import stated_as
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
@@ -541,6 +542,22 @@ class Network(Displayed):
         return (
             replace(self, links={**self.links, **{name: law.played() for name, law in late.items()}}) if late else self
         )
+
+    def random_delay(self, link: str, period: float) -> DelayLaw | None:
+        """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
+        law = self.links[link].played().delay
+        return None if law is None else law.in_periods(period)
+
+    @property
+    def late(self) -> tuple[str, ...]:
+        """Names of the links that delay packets at random, and whose receivers have no buffer."""
+        return tuple(name for name, law in self.links.items() if law.played().delay is not None)
+
+    def cuts(self, period: float) -> tuple[float, ...]:
+        """Return the parts of a period at which packets to actuators may arrive, if delays are random; else nothing."""
+        laws = [self.random_delay(name, period) for name in self.links if self.nodes[name].applies]
+        parts = {wait % 1.0 for law in laws if law is not None for wait in law.waits}
+        return tuple(sorted(parts | {0.0})) if parts - {0.0} else ()
 
     def delayed_as(self, other: Network) -> Network:
         """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
