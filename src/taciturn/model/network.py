@@ -145,7 +145,7 @@ PROTOCOL = "network.protocol"
 SHORT: Mapping[tuple[str, str], str] = {
     (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
     for link in ("sensor", "actuator")
-    for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload")
+    for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload", "delay", "buffer")
 }
 """The keys of the table [network], which states properties of the links between the usual nodes."""
 RESERVED = PLANT, SETPOINT  # links that are not those of nodes
