@@ -205,18 +205,23 @@ def sample(
     """
     A, B, Q, R, N = given = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
-    period, scale, source = _arrays.number("period", period, 0.0), balancing(A), None
+    period, source = _arrays.number("period", period, 0.0), None
     if moved is None:
         W = _arrays.semidefinite("W", W, n, "states × states")
         source, D, G = Source(given, W, period), np.zeros((m, n)), np.pad(W, (0, m))
     else:
         D = _arrays.array("moved", moved, (m, n), "inputs × states")
         G = _arrays.semidefinite("W", W, n + m, "(states + inputs) × (states + inputs)")
+    F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
+    return sampled(_Integrated(F, M, G, period, units_of(A, B, period), n), n + m, source)
+
+
+def units_of(A: Array, B: Array, period: float) -> Array:
+    """Return powers of two, (n + m,), the units in which states and held inputs have a similar effect in a period."""
+    scale = balancing(A)
     reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, 1.0)
-    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
-    return sampled(_Integrated(F, M, G, period, units, n), n + m, source)
+    return np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
 
 
 def sample_prediction(
