@@ -6,8 +6,8 @@ fixed law, or that of the state of the link in which the packet was sent; this s
 chain. With several receivers, the delays of a packet to each of them have a joint law.
 
 **State.** z = (s, u_{k−1}, …, u_{k−D}, û): s contains all that noise enters, û the inputs that act at the beginning of
-the period, and the registers the last commands, for the largest number D of whole periods. A register of a step without
-a packet contains û.
+the period, and the registers the last commands, for the largest number D of whole periods. In a step without a packet,
+the register of the last command keeps it: silence repeats the last command.
 
 **Modes.** A packet in flight that is newer than what acts is known by its age and by the law of its fate, given that it
 has not arrived. All of these, with the state of the link, are the mode I. With one receiver and one state of the link
@@ -220,7 +220,7 @@ def _motion(
                     acting[[*rows]] = (registers[(age - 1) * m : age * m] if age else command)[[*rows]]
         inputs.append(acting)
     T, (F, M) = np.vstack([s, *inputs]), plant.move(fractions)
-    packet = held.copy()
+    packet = (registers[:m] if depth else held).copy()
     for rows, goes in zip(receivers, sent, strict=True):
         if goes:
             packet[[*rows]] = command[[*rows]]
