@@ -39,6 +39,7 @@ STEPS = (
     0.1 * ONE,
     np.zeros((2, 1)),
 )
+DRIVEN, SCALAR = np.diag([0.001, 0.01]), (1.1 * ONE, ONE, ONE, 0.1 * ONE, 0 * ONE)
 
 
 def weight(Q: np.ndarray, R: np.ndarray, N: np.ndarray) -> np.ndarray:
@@ -53,21 +54,20 @@ def lqg(plant: Periods, C: np.ndarray, V: np.ndarray, delay: float) -> tuple[Per
     return with_filter(plant, steady), regulate(*delayed_problem(plant, min(delay, 0.999))).L, steady
 
 
-def sampled_value(plant: tuple[np.ndarray, ...], delays: list[float], chances: list[float]) -> LateValue:
-    """Return the value with LQG gains for the mean delay of the packets that arrive, over the period 0.3."""
+def sampled_value(plant: tuple[np.ndarray, ...], delays: list[float], chances: list[float]) -> tuple[LateValue, float]:
+    """Return the value with LQG gains for the mean delay of the packets that arrive, and the period."""
     periods = sampled_periods(*plant, NOISE, PERIOD)
     base, K, _ = lqg(periods, SHOWN, 0.01 * ONE, float(np.dot(delays, chances)) / sum(chances) / PERIOD)
-    return late_value(chain_of(base, K, Delays.of(delays, chances, PERIOD)), "")
+    return late_value(chain_of(base, K, Delays.of(delays, chances, PERIOD)), ""), PERIOD
 
 
 def discrete_value(
     plant: tuple[np.ndarray, ...], W: np.ndarray, V: float, K: list[float], chances: list[float]
-) -> LateValue:
-    """Return the value with the gain K on the estimate, for delays of 0, 1, … steps."""
-    A, C = plant[0], np.eye(1, len(W))
-    base = with_filter(discrete_periods(*plant, W), steady_filter(A, C, W, V * ONE))
-    gain = np.array([[*K, 0.0]])
-    return late_value(chain_of(base, gain, Delays.of(np.arange(len(chances)), chances)), "")
+) -> tuple[LateValue, float]:
+    """Return the value with the gain K on the estimate, for delays of 0, 1, … steps, and the length of a step."""
+    base = with_filter(discrete_periods(*plant, W), steady_filter(plant[0], np.eye(1, len(W)), W, V * ONE))
+    delays = Delays.of(np.arange(len(chances)), chances)
+    return late_value(chain_of(base, np.array([[*K, 0.0]]), delays), ""), 1.0
 
 
 @pytest.mark.parametrize(
@@ -78,20 +78,17 @@ def discrete_value(
         (lambda: sampled_value(PLANT, [0.06, 0.15, 0.27], [0.4, 0.2, 0.2]), 1.409264, None, 1.40),
         (lambda: sampled_value(SLOWER, [0.06, 0.21, 0.36, 0.45], [0.4, 0.25, 0.15, 0.1]), 0.392159461, None, None),
         (lambda: sampled_value(SLOWER, [0.06, 0.15, 0.45, 0.66], [0.4, 0.25, 0.15, 0.1]), 0.447738197, None, None),
-        (lambda: discrete_value((1.1 * ONE, ONE, ONE, 0.1 * ONE, 0 * ONE), ONE, 0.5, [-0.35], [0.5, 0.4]),
-         3.543623064, None, None),
-        (lambda: discrete_value(STEPS, np.diag([0.001, 0.01]), 0.05, [-1.6, -1.9], [0.4, 0.3, 0.2]),
-         0.203473554, None, None),
+        (lambda: discrete_value(SCALAR, ONE, 0.5, [-0.35], [0.5, 0.4]), 3.543623064, None, None),
+        (lambda: discrete_value(STEPS, DRIVEN, 0.05, [-1.6, -1.9], [0.4, 0.3, 0.2]), 0.203473554, None, None),
     ],
-)  # fmt: skip
+)
 def test_the_references_come_out(
-    found: Callable[[], LateValue], cost: float, growth: float | None, fourth: float | None
+    found: Callable[[], tuple[LateValue, float]], cost: float, growth: float | None, fourth: float | None
 ) -> None:
-    """Two programs computed them: this theory's first one, and a simulation of packets within its errors."""
-    value = found()
-    h = PERIOD if len(value.chain.plant.noise) == 2 and value.chain.plant.move(()).F[0, 0] != 1.02 else 1.0
+    """Costs per unit of time of another program, which simulations of packets confirm within their errors."""
+    value, period = found()
     digits = len(f"{cost:.10g}".partition(".")[2])
-    assert value.cost / h == pytest.approx(cost, abs=0.6 * 10.0**-digits)
+    assert value.cost / period == pytest.approx(cost, abs=0.6 * 10.0**-digits)
     if growth is not None:
         assert value.growth == pytest.approx(growth, abs=6e-5)
     if fourth is not None:
@@ -239,7 +236,7 @@ def test_a_gain_that_depends_on_the_mode_has_a_cost_of_its_change(seed: int, sta
     """Without ψ, the identity is wrong."""
     rng = np.random.default_rng(seed)
     A, B, Q, R, N = STEPS
-    W, V, C = np.diag([0.001, 0.01]), 0.05 * ONE, SHOWN
+    W, V, C = DRIVEN, 0.05 * ONE, SHOWN
     delays = random_delays(rng, 2, False, states=states)
     assume(delays.depth > 0)
     base = with_filter(discrete_periods(A, B, Q, R, N, W), steady := steady_filter(A, C, W, V))
@@ -256,7 +253,7 @@ def test_one_gain_for_all_modes_is_the_same_as_a_table_of_it() -> None:
     """The cost of a change of the mode, which is set to zero for one gain, comes out as zero."""
     A, B, Q, R, N = STEPS
     W, delays = (
-        np.diag([0.001, 0.01]),
+        DRIVEN,
         Delays.of([0, 1, 2], [[0.4, 0.3, 0.2], [0.8, 0.1, 0.1]], turns=[[0.9, 0.1], [0.4, 0.6]]),
     )
     base, K, _ = lqg(discrete_periods(A, B, Q, R, N, W), SHOWN, 0.05 * ONE, 0.0)
@@ -271,7 +268,7 @@ def test_equal_rows_of_a_chain_are_independent_delays(states: int) -> None:
     """The same modes, values and costs in each state; laws that agree are not kept apart."""
     A, B, Q, R, N = STEPS
     rng = np.random.default_rng(states)
-    base, K, _ = lqg(discrete_periods(A, B, Q, R, N, np.diag([0.001, 0.01])), SHOWN, 0.05 * ONE, 0.0)
+    base, K, _ = lqg(discrete_periods(A, B, Q, R, N, DRIVEN), SHOWN, 0.05 * ONE, 0.0)
     p = [0.4, 0.3, 0.2]
     plain = late_value(chain_of(base, K, Delays.of([0, 1, 2], p)), "")
     turns = rng.dirichlet(np.ones(states), states)
@@ -330,7 +327,7 @@ def test_without_delay_it_is_the_base_of_a_link_that_drops_packets(seed: int) ->
 def test_a_mode_that_the_cost_does_not_see_may_last() -> None:
     """A controller with a state that it only adds up, and a set-point that the loop follows, change no number."""
     A, B, Q, R, N = STEPS
-    W, V, delays = np.diag([0.001, 0.01]), 0.05 * ONE, Delays.of([0, 1, 2], [0.5, 0.3, 0.1])
+    W, V, delays = DRIVEN, 0.05 * ONE, Delays.of([0, 1, 2], [0.5, 0.3, 0.1])
     periods = discrete_periods(A, B, Q, R, N, W)
     plain, whole = (
         Controller([[0.6]], [[0.4]], [[0.8]], [[-2.0]]),
@@ -382,8 +379,8 @@ def test_a_long_period_and_its_pieces_keep_their_digits() -> None:
 
 def walk(
     value: LateValue, plant: tuple[np.ndarray, ...], delays: list[float], p: list[float], theta: float
-) -> tuple[float, float, float, float]:
-    """Simulate packets in continuous time; return the rate, the identity, and the mean and error of what it misses."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Simulate packets in continuous time; return the means and errors of the rate, the identity, and its misses."""
     A, B, Q, R, _ = plant
     rng, count, steps, substeps, K = np.random.default_rng(7), 400, 250 * times(), 10, value.chain.gains[0]
     h, D, far = PERIOD, value.chain.delays.depth, 10**9
@@ -398,7 +395,7 @@ def walk(
     x = rng.normal(size=(count, 2)) @ np.linalg.cholesky(steady.posterior).T
     estimate, u, registers = np.zeros((count, 2)), np.zeros((count, 1)), np.zeros((count, D + 1, 1))
     due, newest = np.full((count, D + 1), far), np.full(count, -far)
-    cost, saved, sent, begin = np.zeros(count), np.zeros(count), 0.0, 50
+    cost, saved, sent, begin = np.zeros(count), np.zeros(count), np.zeros(count), 50
     Psi, delta = value.silent[0], theta * value.cost
     for k in range(begin + steps):
         registers[:, 1:], due[:, 1:] = registers[:, :-1].copy(), due[:, :-1].copy()
@@ -423,20 +420,18 @@ def walk(
         estimate = estimate + (y - estimate @ SHOWN.T) @ steady.gain.T
         if k >= begin:
             saved += np.where(sends, 0.0, silence)
-            sent += float(sends.mean())
-    off = cost / steps - value.cost - saved / steps
-    return sent / steps, value.cost + float(saved.mean()) / steps, float(off.mean()), float(off.std() / np.sqrt(count))
+            sent += sends
+    found = np.array([sent, value.cost * steps + saved, cost - value.cost * steps - saved]) / steps
+    return found.mean(axis=1), found.std(axis=1) / np.sqrt(count)
 
 
 def test_the_identity_is_the_cost_of_a_simulation_in_continuous_time() -> None:
-    """Of delays up to two periods and losses; the rule reaches the rate and the cost of the reference."""
+    """Delays of up to three periods and losses; the rule reaches the rate and the cost of the reference."""
     delays, p = [0.06, 0.15, 0.45, 0.66], [0.4, 0.25, 0.15, 0.1]
-    value = sampled_value(SLOWER, delays, p)
-    rate, identity, off, error = walk(value, SLOWER, delays, p, 0.4)
-    assert abs(off) < 4.5 * error
-    assert error < 0.02 * value.cost
-    assert rate == pytest.approx(0.6548, abs=0.006)
-    assert identity / PERIOD == pytest.approx(0.464184, abs=0.003)
+    value, _ = sampled_value(SLOWER, delays, p)
+    mean, error = walk(value, SLOWER, delays, p, 0.4)
+    assert (np.abs(mean - [0.6548, 0.464184 * PERIOD, 0.0]) < 4.5 * error).all()
+    assert (error < [0.004, 0.0001, 0.02 * value.cost]).all()
 
 
 def test_acknowledgements_one_step_late_leave_histories_to_weigh() -> None:
@@ -456,7 +451,7 @@ def test_acknowledgements_one_step_late_leave_histories_to_weigh() -> None:
                 assert one.F[-1] == pytest.approx(one.inputs[-1, 0])
     gaps = {}
     for weighs in (True, False):
-        rng, count, steps, delta = np.random.default_rng(3), 500, 300 * times(), 0.3 * value.cost
+        rng, count, steps, delta = np.random.default_rng(3), 1500, 150 * times(), 0.3 * value.cost
         z, known, mode = np.zeros((count, 5)), np.zeros(count), np.zeros(count, int)  # z = (x, y, xc, u⁻, û)
         believed, true, before = np.zeros(count), np.zeros(count), None
         for k in range(steps):
@@ -534,7 +529,7 @@ def test_a_wrong_law_is_refused(made: Callable[[], Delays], words: str) -> None:
 def test_a_base_is_refused_that_has_no_value() -> None:
     """Unstable loops, too many packets, delays below a step of a discrete plant, and wrong gains and receivers."""
     A, B, Q, R, N = STEPS
-    base, K, _ = lqg(discrete_periods(A, B, Q, R, N, np.diag([0.001, 0.01])), SHOWN, 0.05 * ONE, 0.0)
+    base, K, _ = lqg(discrete_periods(A, B, Q, R, N, DRIVEN), SHOWN, 0.05 * ONE, 0.0)
     fast, gain, _ = lqg(discrete_periods(2.0 * ONE, ONE, ONE, ONE, 0 * ONE, ONE), ONE, ONE, 0.0)
     with pytest.raises(UnstableError, match=r"grows by a factor of 2\..*expected a factor below 1.*or other gains"):
         late_value(chain_of(fast, gain, Delays.of([0, 1], [0.4, 0.2])), "other gains")

@@ -512,6 +512,8 @@ def _growth(jumps: Sequence[tuple[int, int, float, Array]], sizes: Sequence[int]
     """Return the growth factor per step of moments of an even order, for jumps (from, to, probability, F)."""
     ends = np.cumsum([size**order for size in sizes])
     begins = ends - [size**order for size in sizes]
+    if not ends[-1]:  # the cost depends on no state
+        return 0.0
 
     def moved(moments: Array) -> Array:
         check_time()
