@@ -40,8 +40,20 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
-from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
-from taciturn.model.transport import delayed_by
+from taciturn.model.steps import (
+    Acknowledged,
+    Acted,
+    Apply,
+    Assign,
+    Condition,
+    Decide,
+    Draw,
+    Received,
+    Send,
+    Step,
+    assigned,
+)
+from taciturn.model.transport import expected_by
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
@@ -362,7 +374,7 @@ def _on(
     """
     stated = Network() if network is None else network
     instance("network", stated, Network)
-    plant, network = plant and delayed_by(plant, stated), stated.played()
+    plant, network = plant and expected_by(plant, stated), stated.played()
     known = kind.network_for(network)
     policy = design(plant, known)
     if isinstance(policy, Policy):
@@ -492,7 +504,7 @@ def _renamed(step: Step, names: Mapping[str, str]) -> Step:
 
 
 def _condition(on: Condition | None, names: Mapping[str, str]) -> Condition | None:
-    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged) else on
+    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged | Acted) else on
 
 
 def _keys(found: Mapping[str, Value], names: Mapping[str, str]) -> dict[str, Value]:

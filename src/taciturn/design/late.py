@@ -99,7 +99,7 @@ def late_excess(
     found = late_value(chain_of(base, K, delays), loop.remedy if kept is not None else MORE_PACKETS)
     J = found.cost - problem.noise_cost
     price, fourth = price_at(J), fourth_growth(found)
-    steps, initial = _steps(problem, loop if kept is not None else None, found, pieces, state, K, price, steady)
+    steps, initial = _steps(problem, loop if kept is not None else None, found, pieces, state, K, price)
     claims = Theory(
         cost_lqg=loop.cost_lqg,
         guarantee=bound_by_attempts(problem, J, price, 1, True, kept is None) if fourth < 1 else None,
@@ -148,10 +148,9 @@ def _gain(
         return K
     held = registers_of(late, step)
     for column, (i, age) in enumerate(zip(held.inputs, held.ages, strict=True), start=n):
-        oldest = age > depth or age > held.late[i]  # the input that acts at the beginning of the step
-        K[:, (n + depth * m if oldest and not (0 < age <= depth and held.late[i] > 0) else n + (age - 1) * m) + i] += L[
-            :, column
-        ]
+        # the oldest command is the input that acts, unless it still is in a packet
+        place = n + depth * m if age > depth or held.late[i] == 0 else n + (age - 1) * m
+        K[:, place + i] += L[:, column]
     return K
 
 
@@ -163,7 +162,6 @@ def _steps(
     state: tuple[str, ...],
     K: Array,
     price: float,
-    steady: object,
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
     """Return the policy steps of all nodes, and the initial values of their memories."""
     plant, depth = problem.plant, found.chain.delays.depth

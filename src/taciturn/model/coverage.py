@@ -58,7 +58,7 @@ POINT = names("operating_point", "x u") | {"plant.operating_point"}
 # inputs are limited
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit names") | POINT
 # a constant delay is a property of the plant, with registers as its states; any other one is a law of the link
-REGISTERS = names("Transport", "inputs outputs") | {
+REGISTERS = names("Transport", "inputs outputs certain") | {
     f"plant.{name}" for name in ("D", "registers", "transport", "stored")
 }
 ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at

@@ -30,6 +30,7 @@ from taciturn.model.policy import Policy, at_rest
 from taciturn.model.steps import (
     ONE,
     Acknowledged,
+    Acted,
     Apply,
     Assign,
     Condition,
@@ -128,13 +129,13 @@ def _is_held(step: Assign) -> bool:
 def links_of(policy: Policy) -> tuple[str, ...]:
     """Return the links on which the policy sends and reacts to whether a packet arrives."""
     sent: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
-    heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
+    heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged | Acted)}
     return tuple([link for link in sent if link in heard])
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
     """Return whether the network acknowledges packets, but the policy does not use the acknowledgements."""
-    told = any(isinstance(on, Acknowledged) for on in _conditions(policy))
+    told = any(isinstance(on, Acknowledged | Acted) for on in _conditions(policy))
     return any(network.acknowledges(link) for link in network.links) and not told
 
 
@@ -201,7 +202,7 @@ class _Knowledge:
                 f"the node {at} uses packets of the {condition.link} link, which it does not receive; expected a link "
                 "on which it receives packets"
             )
-        if isinstance(condition, Acknowledged):
+        if isinstance(condition, Acknowledged | Acted):
             if condition.link not in self.packets or self.packets[condition.link][0] != site:
                 raise InformationError(
                     f"the node {at} uses an acknowledgement of the {condition.link} link; expected a link on which it "

@@ -34,6 +34,7 @@ class Transport(Displayed):
 
     inputs: tuple[Wait, ...]
     outputs: tuple[Wait, ...]
+    certain: Transport | None = None  # the delays that are constant, if others are the mean of random ones
 
     @staticmethod
     def of(inputs: Sequence[Wait], outputs: Sequence[Wait]) -> Transport | None:
@@ -67,6 +68,22 @@ def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
     """Return a plant with the constant delays of the links of a network; a network without any changes no plant."""
     found = transport_of(plant, network)
     return plant if found is None or plant.transport == found else with_transport(plant, found)
+
+
+def expected_by(plant: AnyPlant, network: Network) -> AnyPlant:
+    """Return a plant for a design: with the constant delays of links, and the mean of random ones to actuators."""
+    means = {name: law.delay.expected for name, law in network.links.items() if name in network.late and law.delay}
+    certain = transport_of(plant, network)
+    found = certain or Transport((Wait(),) * plant.inputs, (Wait(),) * len(plant.C))
+    inputs = list(found.inputs)
+    for name, wait in means.items():
+        for index in network.nodes[name].entries("applies", plant.inputs):
+            if index < len(inputs):
+                inputs[index] = wait
+    late = Transport.of(inputs, found.outputs)
+    if late is None or (not means and certain is None):
+        return plant
+    return with_transport(plant, Transport(late.inputs, late.outputs, certain) if means else late)
 
 
 def with_transport(plant: AnyPlant, transport: Transport | None) -> AnyPlant:

@@ -48,8 +48,12 @@ KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
 # neutral values that digests do not contain
 LATER: Mapping[str, object] = {
-    **dict.fromkeys((*NONE, "transport", "delay", "buffer")), "min_interval": 1, "missing": {}, "quantities": [], "stored": [],
-}  # fmt: skip
+    **dict.fromkeys((*NONE, "transport", "delay", "buffer")),
+    "min_interval": 1,
+    "missing": {},
+    "quantities": [],
+    "stored": [],
+}
 
 
 def encode(value: object) -> str:
