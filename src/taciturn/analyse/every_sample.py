@@ -182,7 +182,7 @@ class _EverySample(BoundedStep):
         super().__init__(kind, case, builder, *rest)
         self._kept = kept
 
-    def draw_losses(self, policy: Policy, network: Network) -> None:
+    def draw_losses(self, policy: Policy, network: Network, cuts: tuple[float, ...] = (0.0,)) -> None:
         """Draw the same numbers as the loop itself."""
         TimeStep.draw_losses(self, policy, network)
 
