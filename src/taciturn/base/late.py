@@ -72,7 +72,7 @@ Fates: TypeAlias = list[tuple[tuple[Fate, ...], float]]
 """Fates of a packet at all receivers, with their probabilities."""
 MOST_MODES = 512  # of one receiver and one state of the link: delays of up to 9 periods
 MOST_ENTRIES = 2_000_000  # of all P_I
-MOST_MOMENTS = 100_000  # fourth moments of all modes
+MOST_MOMENTS = 150_000  # fourth moments of all modes
 _WHOLE = 1e-9  # distance to a whole number of periods that counts as rounding
 _DIGITS = 10  # digits in which two equal laws agree
 _UNSEEN_GROWTH = 1e-5  # growth per step that rounding gives to moments that neither grow nor affect the cost
@@ -469,7 +469,7 @@ def _closed_value(chain: Chain, remedy: str) -> tuple[Array, float]:
         raise ProblemError(
             f"the plant, the controller and the packets of up to {number_of(depth, 'period')} have "
             f"{number_of(len(kept), 'state')} together, in {number_of(c, 'mode')}, too many to compute the cost-to-go "
-            f"with {MOST_UNKNOWNS} unknowns; expected fewer states, or delays of fewer periods"
+            f"with {MOST_UNKNOWNS} unknowns; expected fewer states of the plant or the link, or delays of fewer periods"
         )
     step, value = np.zeros((c * d, c * d)), np.zeros(c * d)
     for (i, j, p, F), (_, _, M) in zip(jumps, shown[0][0], strict=True):
@@ -557,6 +557,7 @@ class History(NamedTuple):
 
     chance: float
     after: int  # index of the next mode
+    path: Path
     fractions: tuple[float, ...]  # of the period, at which the inputs change
     inputs: Array  # the inputs that act from the beginning and after each change, (q + 1, m, z)
     F: Array  # z⁺ = F z + noise, (z, z)
@@ -566,11 +567,12 @@ def histories(chain: Chain, mode: int, sent: Sent) -> tuple[History, ...]:
     """Return all histories of a step in a mode with the given decision; the next step of each begins in its mode.
 
     If acknowledgements come one step late, the decider knows the mode and z of the step before. It weighs the cost of
-    silence of each history by its probability times the likelihood of the measurement after it.
+    silence of each history by its probability times the likelihood of the measurement after it. If the state of the
+    link is not known, its belief over the modes follows in the same way from the paths that are acknowledged.
     """
     found: list[History] = []
     for outcome in chain.outcomes[sent][mode]:
         inputs, n = outcome.motion.inputs, len(outcome.F)
         acting = inputs[:, :, :n] + inputs[:, :, n:] @ chain.gains[mode]
-        found.append(History(outcome.chance, outcome.after, outcome.motion.fractions, acting, outcome.F))
+        found.append(History(outcome.chance, outcome.after, outcome.path, outcome.motion.fractions, acting, outcome.F))
     return tuple(found)
