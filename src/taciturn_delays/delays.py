@@ -85,7 +85,7 @@ def _loss_text(found: MeasuredDelays) -> str:
         return ""
     after = "" if found.loss_after_loss is None else f", {_percentage(found.loss_after_loss)} after a dropped packet"
     kind = "bursty" if found.bursty else "as if independent of each other"
-    return f"{kind}; correlation of consecutive packets {found.loss_correlation or 0.0:.2f}{after}"
+    return f"{kind}; correlation of consecutive packets {found.loss_correlation or 0.0:z.2f}{after}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -111,7 +111,7 @@ class MeasuredDelays(Result):
         Field("form", say="file"),
         Field("assumption", say="assumption"),
         Field("offset", optional=True, say="offset", text=lambda found: found.offset_text),
-        Field("drift_ppm", optional=True, say="drift", text="{:.4g} ppm"),
+        Field("drift_ppm", optional=True, say="drift", text="{:z.4g} ppm (above 0: the receiver's time is faster)"),
         Field("packets", say="packets", text="{:,}", none="unknown: the file has shares"),
         Field("lost", say="lost", text=lambda found: _percentage(found.lost)),
         Field(
@@ -127,7 +127,7 @@ class MeasuredDelays(Result):
         Field("quantile_999"),
         Field("smallest", say="smallest", text=lambda found: _milliseconds(found.smallest)),
         Field("largest", say="largest", text=lambda found: _milliseconds(found.largest)),
-        Field("correlation", say="correlation", text="{:.2f} between the delays of consecutive packets"),
+        Field("correlation", say="correlation", text="{:z.2f} between the delays of consecutive packets"),
         Field("bursty", say="losses", text=_loss_text),
         Field("loss_correlation"),
         Field("loss_after_loss"),
@@ -182,7 +182,9 @@ class MeasuredDelays(Result):
         """Sentence with the estimated offset, and that its constant part is unknown; empty if none was estimated."""
         if self.offset is None:
             return ""
-        return f"{self.offset:.6g} s, up to the unknown smallest delay"
+        return (
+            f"{self.offset:z.6g} s, time of the receiver minus that of the sender, if the smallest delay is as stated"
+        )
 
     @cached_property
     def delivered(self) -> Bits:
@@ -435,8 +437,8 @@ def _compared(path: Path, found: Reading, least: float) -> MeasuredDelays:
     delay[there] = rest + least
     notes = [
         *found.notes,
-        f"all delays would be larger by the same amount if the smallest delay were larger than {_milliseconds(least)}: "
-        "times of two computers cannot tell it",
+        "the constant part of the delays cannot be known from times of two computers: if the smallest delay is not "
+        f"{_milliseconds(least)}, all delays differ by the same amount; state it with --least",
     ]
     if abs(line.drift) > _STEEP:
         notes.append(

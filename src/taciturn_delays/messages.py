@@ -88,12 +88,10 @@ def read_message_lines(path: Path, text: str, names: Names) -> Reading:
         values = dict(_flat(_parsed(where, brace + rest), ""))
         sent = _value(values, SENT if names.sent is None else (names.sent,), prefer="payload")
         if sent is None:
-            told = (
-                f"the key {quoted(names.sent)}" if names.sent else f"a key of the time of sending ({', '.join(SENT)})"
-            )
+            told = f"the key {quoted(names.sent)}" if names.sent else f"the time of sending ({', '.join(SENT)})"
             raise ProblemError(
-                f"{where} does not have {told}; its keys are {', '.join(values)}: name the key, such as --sent "
-                f"{next(iter(values), 'payload.t')}"
+                f"{where} does not have {told}; expected it among its keys {', '.join(values)}: name the key, such as "
+                f"--sent {next(iter(values), 'payload.t')}"
             )
         words = before.split()
         received = _value(values, RECEIVED) if names.received is None else _value(values, (names.received,))

@@ -28,14 +28,14 @@ from taciturn.extend import Displayed, number_of, quoted
 from taciturn_delays.instants import instant
 from taciturn_delays.reading import Reading, ordered, with_missing
 
-_SEQUENCE = re.compile(r"\b(?:icmp_|icmp6_)?(?:seq|req)[= ](\d+)\b")
-_TIME = re.compile(r"[=<]\s?(-?\d+(?:[.,]\d+)?)\s?ms\b")
+_SEQUENCE = re.compile(r"\b(?:icmp_|icmp6_)?(?:seq|req)[= ](\d{1,9})\b")
+_TIME = re.compile(r"[=<]\s?(-?\d{1,12}(?:[.,]\d+)?)\s?ms\b")
 _STAMP = re.compile(r"^\[?(\d{9,10}\.\d+)\]? |^(\d\d):(\d\d):(\d\d\.\d+) ")
 _HEAD = re.compile(r"^PING6?[ (]")
 _FROM_ZERO = re.compile(r"^PING6|: \d+ data bytes")  # macOS and BusyBox
 _OF_WINDOWS = re.compile(r"^(?=\S).*\bping(?:ing)?\b.*:\s*$", re.IGNORECASE)  # in several languages
-_TRANSMITTED = re.compile(r"^(\d+) \D+?, (\d+) .*%")
-_TOTAL = re.compile(r", \w+ (\d+)\s?ms\s*$")
+_TRANSMITTED = re.compile(r"^(\d{1,9}) \D+?, (\d+) .*%")
+_TOTAL = re.compile(r", \w+ (\d{1,15})\s?ms\s*$")
 _LOST = re.compile(r"^(?:Request timed out|.*unreachable|.*failed|.*failure|.*expired in transit)", re.IGNORECASE)
 _CYCLE = 1 << 16  # sequence numbers
 _SECOND = 10**9  # nanoseconds
