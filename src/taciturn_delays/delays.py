@@ -26,7 +26,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -34,8 +34,13 @@ from taciturn.errors import ProblemError
 from taciturn.extend import (
     Array,
     Bits,
+    Panel,
+    Series,
+    Size,
+    StyleName,
     check_format,
     choice,
+    draw,
     frozen,
     number,
     number_of,
@@ -48,11 +53,16 @@ from taciturn_delays.instants import UNITS
 from taciturn_delays.reading import Names, Reading
 from taciturn_delays.statistics import RARE, chance_of_runs, correlation, quantile, reordered, runs
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _LEVELS = (0.9, 0.99, 0.999)
 _LONGEST = 3600.0  # seconds of an interval or a smallest delay
 _STEEP = 500e-6  # drift above which a computer's oscillator is not its cause
 _OTHER_UNIT = 0.1  # drift above which the units of both times differ
 _DEPENDENT = 4.0  # standard errors of a correlation of delays that is not by chance
+_DRAWN = 1000  # points of a curve
+_SLACK = 1e-9  # rounding of a share
 _DIGITS = 3  # significant digits of delays in a histogram
 _PPM = 1e6
 
@@ -266,6 +276,35 @@ class MeasuredDelays(Result):
         """Whether delays or losses depend on those of the packet before, so that a histogram leaves something out."""
         pairs = int((self.delivered[1:] & self.delivered[:-1]).sum())
         return bool(self.bursty) or abs(self.correlation or 0.0) * math.sqrt(pairs) > _DEPENDENT
+
+    def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:
+        """Draw the share of the delivered packets whose delay is larger than a value, and the delays over time.
+
+        Args:
+            ax: existing axes to draw the shares in instead of a new figure.
+            figsize: width and height of a new figure, in inches.
+            style: ``"light"``, ``"dark"``, ``"paper"`` or ``"paper-wide"``.
+        """
+        delays, weight = self.delay[self.delivered], self.weight[self.delivered]
+        order = np.argsort(delays, kind="stable")
+        x, beyond = 1000 * delays[order], np.maximum(1 - np.cumsum(weight[order]) / weight.sum(), 0.0)
+        kept = np.unique(np.linspace(0, len(x) - 1, _DRAWN).round().astype(np.int64))
+        last = beyond > _SLACK
+        kept = kept[last[kept]] if last.any() else kept[:0]
+        shares = Panel(
+            [Series([0.0, *x[kept].tolist()], [1.0, *beyond[kept].tolist()], curve="steps", thing="policy")],
+            "delay (ms)", "share of packets with a larger delay", self.assumption, ylog=True,
+        )  # fmt: skip
+        if ax is not None or self.packets is None:
+            return draw([shares], ax, figsize, style)
+        size = -(-self.packets // _DRAWN)
+        parts = [slice(k, k + size) for k in range(0, self.packets, size)]
+        parts = [part for part in parts if self.delivered[part].any()]
+        times = [float(self.sent[part][0]) for part in parts]
+        largest = [1000 * float(self.delay[part][self.delivered[part]].max()) for part in parts]
+        label = "delay (ms)" if size == 1 else f"largest of {size} delays (ms)"
+        over_time = Panel([Series(times, largest, curve="points", thing="policy")], "time of sending (s)", label)
+        return draw([shares, over_time], ax, figsize, style)
 
     def save_trace(self, path: str | Path) -> None:
         """Write the columns ``sent`` and ``delay`` in seconds; the delay of a dropped packet is empty.

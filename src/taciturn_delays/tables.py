@@ -23,6 +23,7 @@ from taciturn.extend import Displayed, number_of, quoted
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 _DELIMITERS = "\t;,"
+_MOST = 1e12  # of a number, so that squares and sums are finite; as seconds since 1970 it is far in the future
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,14 +53,14 @@ class Table(Displayed):
         """Return the number in a cell."""
         if lost and not cell:
             return math.inf
+        low = max(low, -_MOST)
         text = cell.replace(",", ".") if self.decimal_comma else cell
         found = float(text) if NUMBER.fullmatch(text) else math.nan
-        if not (math.isfinite(found) and found >= low):
-            bound = "" if low == -math.inf else f" of at least {low:g}"
+        if not low <= found <= _MOST:
             empty = ", or an empty cell for a dropped packet" if lost else ""
             raise ProblemError(
-                f"{name} in {self.where(row)} is {quoted(cell)}; expected a finite number{bound}{empty}: correct the "
-                "line, or remove it"
+                f"{name} in {self.where(row)} is {quoted(cell)}; expected a number from {low:g} to {_MOST:g}{empty}: "
+                "correct the line, or remove it"
             )
         return found
 
