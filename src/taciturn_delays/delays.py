@@ -288,7 +288,8 @@ class MeasuredDelays(Result):
         delays, weight = self.delay[self.delivered], self.weight[self.delivered]
         order = np.argsort(delays, kind="stable")
         x, beyond = 1000 * delays[order], np.maximum(1 - np.cumsum(weight[order]) / weight.sum(), 0.0)
-        kept = np.unique(np.linspace(0, len(x) - 1, _DRAWN).round().astype(np.int64))
+        from_end = np.geomspace(1, len(x), _DRAWN)  # close together where the shares are small
+        kept = np.unique(len(x) - from_end.round().astype(np.int64))
         last = beyond > _SLACK
         kept = kept[last[kept]] if last.any() else kept[:0]
         shares = Panel(
@@ -491,7 +492,9 @@ def _compared(path: Path, found: Reading, least: float) -> MeasuredDelays:
             "computer was adjusted, or the route changed"
         )
     assumption = f"times of two computers, smallest delay set to {_milliseconds(least)}"
-    return _result(replace(found, notes=tuple(notes)), delay, assumption, line.at(found.sent[:1])[0], line.drift)
+    return _result(
+        replace(found, notes=tuple(notes)), delay, assumption, line.at(found.sent[:1])[0] - least, line.drift
+    )
 
 
 def _result(
