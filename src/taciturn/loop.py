@@ -33,10 +33,9 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn._text import number_of
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
 from taciturn.lqg.kalman import resting_states
 from taciturn.lqg.loaded import with_loads
-from taciturn.lqg.registers import point_with, with_same_start
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import (
     BURSTS,

@@ -37,13 +37,13 @@ from taciturn.lqg.registers import Pieces, registers_of
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, LATE
-from taciturn.model.delay import DelayLaw, Wait
+from taciturn.model.delay import DelayLaw, Transport, Wait
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Acted, Assign, Decide, Evaluate, Received, Send, Step
 from taciturn.model.theory import INNOVATION, Identity, Theory
-from taciturn.model.transport import Transport, with_transport
+from taciturn.model.transport import with_transport
 from taciturn.model.trigger import Form, Trigger
 
 COST, TRIED = "cost of silence", "tried"

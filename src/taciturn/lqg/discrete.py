@@ -40,16 +40,28 @@ from taciturn._modes import (
     invariant,
     pace,
     radius,
+    summed,
     unit_columns,
 )
 from taciturn._rational import Limit, unmoved
 from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import MOST_PROBLEMS, remembered
+from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
-from taciturn.lqg.quadratic import Quadratic, worth_of
-from taciturn.lqg.registers import Pieces, cuts_of, expect_digits, pieces_of, registers_from, with_registers
+from taciturn.lqg.quadratic import Quadratic, placed, worth_of
+from taciturn.lqg.registers import (
+    Extended,
+    Pieces,
+    cuts_of,
+    extend,
+    in_deviations,
+    registered,
+    registers_of,
+    rest_with,
+    with_inputs_before,
+)
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import Exact, Sampled, Source, sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -71,6 +83,7 @@ from taciturn.model.plant import (
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Exosystem
 
+BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 INSTANTS = (
     "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
@@ -652,3 +665,92 @@ def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continu
             f"({len(exosystem.G)}); expected disturbances with different effects on the outputs, and at most as many "
             "constant disturbances as outputs: remove a disturbance, or add a sensor"
         )
+
+
+def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
+    """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
+    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
+    takes = found.taking(before.C)
+    own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
+    exact = problem.exact and Exact(Extended(problem.exact, n, found, takes))
+    if own is not None:
+        own = in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
+    plant = registered(before, source, found)
+    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
+
+
+def pieces_of(problem: Discrete, source: Plant | ContinuousPlant, cuts: tuple[float, ...]) -> Pieces:
+    """Return a problem, whose inputs are those that act, with a command for each piece; registers hold the last one."""
+    n, found = source.states, registers_of(source, problem.tick, cuts)
+    kept, new = placed(problem.plant.states, n, len(found.S))
+    m, q, z = found.P.shape[1], len(cuts), new @ found.Gz.T
+    direct = np.zeros((q * m, q * m))
+    for piece in range(q):
+        rows = slice(piece * m, (piece + 1) * m)
+        direct[rows, rows] = found.Gu[rows]
+    last = np.hstack([np.zeros((m, (q - 1) * m)), np.eye(m)])
+    B, N, R = problem.plant.B, problem.N, problem.R
+    return Pieces(
+        cuts,
+        frozen(kept @ B @ direct + new @ found.P @ last),
+        frozen(kept @ N @ direct + z @ R @ direct),
+        frozen(direct.T @ R @ direct),
+    )
+
+
+def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
+    """Raise an error if an output is so large that rounding hides how it depends on the state.
+
+    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
+    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
+    innovation, it changes the cost by less than its stated tolerance of 1e-6.
+    """
+    plant, keep = problem.plant, problem.decaying
+    fed = np.zeros(plant.states, dtype=np.bool_)
+    fed[registers_from(problem) : registers_from(problem) + len(plant.registers)] = True
+    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
+    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
+    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
+        return
+    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
+    if point is not None:
+        size += np.abs(point.u[[*plant.registers]])
+    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
+    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
+    worst = int(np.argmax(rounded - BLUR * told))
+    if rounded[worst] > BLUR * told[worst] > 0:
+        shown = plant.C[worst, fed]
+        raise ProblemError(
+            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
+            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
+            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
+            "innovation: measure this output without the input, or leave it out"
+        )
+
+
+def with_same_start(problem: Discrete, model: Plant) -> Discrete:
+    """Set the initial values of a problem's registers of inputs to those of the plant ``model`` of a design."""
+    plant, place = problem.plant, registers_from(problem)
+    before = np.zeros(plant.inputs)
+    for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
+        before[[*registers]] = mean[place : place + len(registers)]
+    return replace(problem, plant=with_inputs_before(plant, place, before))
+
+
+def registers_from(problem: Discrete) -> int:
+    """Return the index of the first register among the states of a problem."""
+    return problem.plant.stated if problem.source is None else problem.source.states
+
+
+def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
+    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
+    point, place, plant = model.operating_point, registers_from(problem), problem.plant
+    held = model.registers, model.stored
+    if point is None or held == (plant.registers, plant.stored):
+        return point
+    x = np.delete(point.x, slice(place, place + len(model.registers) + len(model.stored)))
+    at = OperatingPoint(x, point.u)
+    source = problem.source
+    if source is None or not (plant.registers or plant.stored):
+        return at
+    return rest_with(at, place, registers_of(source, problem.tick), source)

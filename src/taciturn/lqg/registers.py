@@ -30,17 +30,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
-from taciturn._modes import closure, summed
+from taciturn._modes import closure
 from taciturn.errors import ProblemError
-from taciturn.lqg.enclosures import UNIT, E, block
+from taciturn.lqg.enclosures import E, block
 from taciturn.lqg.followed import Followed
-from taciturn.lqg.kalman import Filter
 from taciturn.lqg.quadratic import Quadratic, placed
 from taciturn.lqg.sampling import Exact, Step
 from taciturn.model.delay import WHOLE
@@ -48,10 +47,6 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from, derived_plant
 
-if TYPE_CHECKING:
-    from taciturn.lqg.discrete import Discrete
-
-BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 MOST = 200  # registers of a plant
 
 
@@ -162,38 +157,7 @@ class Pieces(Displayed):
     R: Array
 
 
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
-    """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
-    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
-    takes = found.taking(before.C)
-    own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
-    exact = problem.exact and Exact(_Extended(problem.exact, n, found, takes))
-    if own is not None:
-        own = _in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
-    plant = registered(before, source, found)
-    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
-
-
-def pieces_of(problem: Discrete, source: Plant | ContinuousPlant, cuts: tuple[float, ...]) -> Pieces:
-    """Return a problem, whose inputs are those that act, with a command for each piece; registers hold the last one."""
-    n, found = source.states, registers_of(source, problem.tick, cuts)
-    kept, new = placed(problem.plant.states, n, len(found.S))
-    m, q, z = found.P.shape[1], len(cuts), new @ found.Gz.T
-    direct = np.zeros((q * m, q * m))
-    for piece in range(q):
-        rows = slice(piece * m, (piece + 1) * m)
-        direct[rows, rows] = found.Gu[rows]
-    last = np.hstack([np.zeros((m, (q - 1) * m)), np.eye(m)])
-    B, N, R = problem.plant.B, problem.N, problem.R
-    return Pieces(
-        cuts,
-        frozen(kept @ B @ direct + new @ found.P @ last),
-        frozen(kept @ N @ direct + z @ R @ direct),
-        frozen(direct.T @ R @ direct),
-    )
-
-
-def _in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: int, takes: Array) -> Followed:
+def in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: int, takes: Array) -> Followed:
     """Extend a problem in deviations. A register of an input deviates from the value that the signals then need."""
     kept, new = placed(len(own.T), n, len(found.S))
     d = own.states
@@ -213,7 +177,7 @@ def _in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: in
         T=kept @ own.T @ kept.T + new @ new.T - new @ offsets @ kept[:, d].T,
         U=U @ kept.T,
         problem=extend(own.problem, n, found, takes),
-        exact=own.exact and Exact(_Extended(own.exact, n, found, takes)),
+        exact=own.exact and Exact(Extended(own.exact, n, found, takes)),
     )
 
 
@@ -232,7 +196,7 @@ def extend(given: Quadratic, place: int, by: Registers, takes: Array) -> Quadrat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Extended(Displayed):
+class Extended(Displayed):
     """The problem of ``extend`` in any arithmetic, with the noise of the registers."""
 
     exact: Exact
@@ -282,10 +246,10 @@ def registered(plant: Plant, source: Plant | ContinuousPlant, found: Registers) 
     )  # fmt: skip
     more: dict[str, object] = {"changes": plant.changes, "registers": found.inputs}
     more |= {"stored": (*found.outputs, *found.noises), "alone": source if isinstance(source, Plant) else None}
-    return counted_from(altered(result, more), plant, lambda at: _point(at, n, found, source))
+    return counted_from(altered(result, more), plant, lambda at: rest_with(at, n, found, source))
 
 
-def _point(at: OperatingPoint, n: int, found: Registers, source: Plant | ContinuousPlant) -> OperatingPoint:
+def rest_with(at: OperatingPoint, n: int, found: Registers, source: Plant | ContinuousPlant) -> OperatingPoint:
     """Return an operating point with the values of the registers at rest."""
     return OperatingPoint(np.insert(at.x, [n] * len(found.S), resting(at, n, found, source)), at.u)
 
@@ -296,69 +260,11 @@ def resting(at: OperatingPoint, n: int, found: Registers, source: Plant | Contin
     return np.concatenate([at.u[[*found.inputs]], outputs[[*found.outputs]], np.zeros(len(found.noises))])
 
 
-def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
-    """Raise an error if an output is so large that rounding hides how it depends on the state.
-
-    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
-    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
-    innovation, it changes the cost by less than its stated tolerance of 1e-6.
-    """
-    plant, keep = problem.plant, problem.decaying
-    fed = np.zeros(plant.states, dtype=np.bool_)
-    fed[registers_from(problem) : registers_from(problem) + len(plant.registers)] = True
-    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
-    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
-    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
-        return
-    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
-    if point is not None:
-        size += np.abs(point.u[[*plant.registers]])
-    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
-    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
-    worst = int(np.argmax(rounded - BLUR * told))
-    if rounded[worst] > BLUR * told[worst] > 0:
-        shown = plant.C[worst, fed]
-        raise ProblemError(
-            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
-            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
-            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
-            "innovation: measure this output without the input, or leave it out"
-        )
-
-
-def with_same_start(problem: Discrete, model: Plant) -> Discrete:
-    """Set the initial values of a problem's registers of inputs to those of the plant ``model`` of a design."""
-    plant, place = problem.plant, registers_from(problem)
-    before = np.zeros(plant.inputs)
-    for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
-        before[[*registers]] = mean[place : place + len(registers)]
-    return replace(problem, plant=with_inputs_before(plant, place, before))
-
-
 def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
     """Set the initial values of a plant's registers, which begin at state ``place``, to the given inputs, (m,)."""
     mean = plant.mean.copy()
     mean[place : place + len(plant.registers)] = before[[*plant.registers]]
     return altered(plant, {"mean": frozen(mean)})
-
-
-def registers_from(problem: Discrete) -> int:
-    """Return the index of the first register among the states of a problem."""
-    return problem.plant.stated if problem.source is None else problem.source.states
-
-
-def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
-    point, place, plant = model.operating_point, registers_from(problem), problem.plant
-    held = model.registers, model.stored
-    if point is None or held == (plant.registers, plant.stored):
-        return point
-    x = np.delete(point.x, slice(place, place + len(model.registers) + len(model.stored)))
-    at = OperatingPoint(x, point.u)
-    source = problem.source
-    if source is None or not (plant.registers or plant.stored):
-        return at
-    return _point(at, place, registers_of(source, problem.tick), source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -288,7 +288,7 @@ def _of_lists(name: str, waits: Sequence[object], chances: Sequence[object], sec
     """Return the law of a list of delays and of their probabilities; the rest is lost."""
     if len(waits) != len(chances):
         raise ProblemError(
-            f"{name} has {number_of(len(waits), 'delay')} and {len(chances)} probabilities; expected as many"
+            f"{name} has {number_of(len(waits), 'delay')}, and the probabilities are {len(chances)}; expected as many"
         )
     most = inf if seconds else float(LONGEST)
     given = [number(f"{name}.seconds" if seconds else name, one, 0.0, most, closed=True) for one in waits]
@@ -375,6 +375,42 @@ def _is_number(cell: str) -> bool:
         return isfinite(float(cell.replace("_", "?")))
     except ValueError:
         return False
+
+
+@dataclass(frozen=True, repr=False)
+class Transport(Displayed):
+    """The constant delays after which each input of a plant acts, and with which each output is read."""
+
+    inputs: tuple[Wait, ...]
+    outputs: tuple[Wait, ...]
+    certain: Transport | None = None  # the delays that are constant, if others are the mean of random ones
+
+    @staticmethod
+    def of(inputs: Sequence[Wait], outputs: Sequence[Wait]) -> Transport | None:
+        """Return the delays, or None if all are 0."""
+        return Transport(tuple(inputs), tuple(outputs)) if any(map(any, (*inputs, *outputs))) else None
+
+    def periods(self, period: float) -> tuple[Array, tuple[int, ...]]:
+        """Return after how many periods each input acts, (m,), and by how many steps each output is older than the
+        newest.
+        """
+        read = [wait.periods(period) for wait in self.outputs]
+        part = max((wait % 1.0 for wait in read), default=0.0)
+        steps = [int(wait // 1) for wait in read]
+        least = min(steps, default=0)
+        acts = np.array([wait.periods(period) for wait in self.inputs]) + (least + part)
+        whole = np.round(acts)
+        return np.where(np.abs(acts - whole) <= WHOLE, whole, acts), tuple(one - least for one in steps)
+
+    def text(self) -> str:
+        """Describe the delays in a few words."""
+        named = {"input": self.inputs, "output": self.outputs}
+        found = [(name, i, wait) for name, waits in named.items() for i, wait in enumerate(waits, start=1) if any(wait)]
+        return ", ".join(f"{name} {i} {wait.text()} late" for name, i, wait in found)
+
+    def short(self) -> str:
+        """Describe the delays in a few words."""
+        return self.text()
 
 
 def check_delay(law: Any, name: str = "delay") -> DelayLaw | None:

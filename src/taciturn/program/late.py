@@ -17,7 +17,7 @@ time-stamped acknowledgements knows at the end of a step what arrived in which p
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -27,18 +27,31 @@ from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Send
 from taciturn.program.functions import floor
-from taciturn.program.ir import Truth
-
-if TYPE_CHECKING:
-    from taciturn.program.translation import TimeStep
+from taciturn.program.ir import Builder, Truth
 
 NEVER = 1e6  # of a packet that does not arrive
+
+
+class _Step(Protocol):
+    """A step of a loop that is being translated (``translation.TimeStep``)."""
+
+    builder: Builder
+    signals: dict[str, list[int]]
+    link_states: dict[str, int]
+
+    def recall(self, name: str) -> list[int]:
+        """Return the value of a signal, of this step or of the previous one."""
+        ...
+
+    def uniform(self) -> int:
+        """Draw a random number."""
+        ...
 
 
 class Ring:
     """The packets on a link that were sent in this step or earlier, and are not yet heard."""
 
-    def __init__(self, tick: TimeStep, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool) -> None:
+    def __init__(self, tick: _Step, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool) -> None:
         """Begin a step. The law counts in periods; a ``clocked`` receiver hears a packet only once per step."""
         self.tick, self.link, self.law, self.pieces = tick, link, law, len(cuts)
         starts = np.array(cuts)
@@ -73,7 +86,7 @@ class Ring:
         """Return the number of a delay that is drawn by the law of the link."""
         tick, b, law = self.tick, self.tick.builder, self.law
         if law.sequence:
-            (here,) = tick.read(place_of(self.link))
+            (here,) = tick.recall(place_of(self.link))
             moved = b.emit("add", here, b.constant(1.0))
             ended = b.greater(moved, len(law.sequence) - 0.5)
             turned, start = b.greater(1.0 / law.block, tick.uniform()), tick.uniform()
