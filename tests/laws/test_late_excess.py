@@ -9,7 +9,19 @@ import pytest
 from counts import few, scaled
 from measured import agree_together, average
 
-from taciturn import ContinuousPlant, Controller, Cost, Loop, Network, Plant, Policy, ProblemError, UnstableError, close
+from taciturn import (
+    Burst,
+    ContinuousPlant,
+    Controller,
+    Cost,
+    Loop,
+    Network,
+    Plant,
+    Policy,
+    ProblemError,
+    UnstableError,
+    close,
+)
 from taciturn.design import excess
 from taciturn.model.link import LinkLaw
 from taciturn.simulation.average import plain_average
@@ -52,7 +64,7 @@ def test_costs_and_rates_are_those_of_the_references(row: int) -> None:
         assert policy.cost_all_time == pytest.approx(base, abs=6e-10)
         found = average(close(plant, policy), steps=400_000, seed=3)
         assert found.rates["actuator"].value * PERIOD == pytest.approx(rate, abs=0.002)
-        assert found.cost.value == pytest.approx(cost, abs=4 * (found.cost.standard_error + 1e-4 * cost))  # of the reference
+        assert found.cost.value == pytest.approx(cost, abs=4 * (found.cost.standard_error + 1e-4 * cost))
         assert policy.guarantee is not None
         assert found.cost.value < policy.guarantee.cost
 
@@ -85,7 +97,13 @@ def drawn(seed: int) -> tuple[Plant | ContinuousPlant, Policy]:
         more["controller"] = Controller([[0.5]], [[0.3]], [[k]], [[k]])
     loss = float(rng.choice([0.0, 0.1]))
     theta = float(rng.choice([0.0, 0.1, 0.5]))
-    return plant, excess(plant, cost, theta=theta, network=network(law, loss=loss), **more)
+    late = network(law, loss=loss)
+    if rng.integers(3) == 0 and count < 3:  # delays and losses in bursts
+        other = share[::-1].tolist()
+        states = [law, {**law, "probability": other} if isinstance(law, dict) else other]
+        burst = Burst(*rng.uniform(0.05, 0.4, 2), 0.0, loss)
+        late = network({"states": states}, burst=burst)
+    return plant, excess(plant, cost, theta=theta, network=late, **more)
 
 
 def usual(seed: int) -> tuple[Loop, Policy] | None:
@@ -111,7 +129,9 @@ def test_the_identity_holds_and_no_bound_is_broken(first: int) -> None:
         assert policy.guarantee is not None
         square = average(loop, steps=60_000, seed=seed)
         plain = average(loop, plain_average(loop), steps=60_000, seed=seed + 1)
-        differences.append((plain.cost.value - square.cost.value) / np.hypot(plain.cost.standard_error, square.cost.standard_error))
+        differences.append(
+            (plain.cost.value - square.cost.value) / np.hypot(plain.cost.standard_error, square.cost.standard_error)
+        )
         assert square.cost.value - 4 * square.cost.standard_error <= policy.guarantee.cost
     assert len(differences) > 2
     assert agree_together(differences), differences

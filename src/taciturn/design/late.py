@@ -8,6 +8,9 @@ inputs that acted in each piece of the period, and which packets are still in fl
 * silence costs E[z'Ψ_I z] more than a packet, z = (s, u_{k−1}, …, u_{k−D}, û), and a packet is sent iff this exceeds
   the price δ. So J = J_base + E[1{silent} z'Ψ_I z] and J ≤ J_base + δ (1 − rate of attempts).
 
+If delays and losses come in bursts, nobody knows the state of the link. The controller keeps the probabilities of all
+modes by the arrivals (``LateBelief``), and silence costs the mean over them.
+
 The command is that of a given controller, or LQG with the gains for a constant delay, by default the mean delay of the
 packets that arrive. With d whole periods and a part of one, these gains are those of the plant with registers for the
 last commands (``lqg/registers``). A command that is still to act is in a packet that may be in flight or lost, so the
@@ -18,12 +21,14 @@ Source: nilsson1998, antunes2014rollout
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state
 from taciturn.base.given_controller import MORE_PACKETS, GivenLoop, lqg_observer
 from taciturn.base.late import Delays, LateValue, chain_of, fourth_growth, late_value
@@ -36,17 +41,19 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.registers import Pieces, registers_of
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import GAUSSIAN_THEORY, LATE
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, LATE
 from taciturn.model.delay import DelayLaw, Transport, Wait
+from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.steps import ONE, Acted, Assign, Decide, Evaluate, Received, Send, Step
+from taciturn.model.steps import ONE, Acted, Apply, Assign, Decide, Evaluate, Received, Send, Step
 from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.transport import with_transport
 from taciturn.model.trigger import Form, Trigger
 
-COST, TRIED = "cost of silence", "tried"
+COST, TRIED, BELIEF = "cost of silence", "tried", "belief"
+MOST_BELIEVED = 64  # modes of which a controller has probabilities
 LINK, AT = "actuator", "controller"
 
 
@@ -104,7 +111,8 @@ def late_excess(
         cost_lqg=loop.cost_lqg,
         guarantee=bound_by_attempts(problem, J, price, 1, True, kept is None) if fourth < 1 else None,
         identity=Identity(problem.per_unit(J), (Form(plus={COST: 1.0 / problem.unit}), Form()), SEND),
-        covers=GAUSSIAN_THEORY | LATE,
+        covers=GAUSSIAN_THEORY | LATE | BURSTS,
+        functions=frozenset({BELIEF}),
         fourth=fourth,
     )
     settling = max(1 / (1 - found.growth), 1 / (1 - steady.slowest))
@@ -183,27 +191,19 @@ def _steps(
             initial[NEXT] = loop.point.start
         command = {REGISTER: c.C, MEASURED: c.D}
     before.append(Assign(AT, "command", nonempty(command)))
-    Psi, psi = found.silent
     signals = (*state, *sent, HELD)
-    modes = {mode.ages: i for i, mode in enumerate(found.chain.modes)}
-    if len(found.chain.delays.turns) > 1:
-        raise ProblemError(
-            "the delays or losses of the link come in bursts, with acknowledgements of random delays; expected "
-            "independent delays and losses, a buffer, or acknowledged = false (then the loop is simulated)"
-        )
-    flags = {age: f"flight {age}" for age in range(1, depth + 1)}
-    for age, flag in flags.items():
-        none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
-        before.append(Decide(AT, f"packet {age} is in flight", none_or_some))
-    costs: dict[tuple[int, ...], Form] = {ages: Form(signals, Psi[i], float(psi[i])) for ages, i in modes.items()}
-    before += _selected(costs, flags)
+    count = 1 if pieces is None else len(pieces.cuts)
+    watched = _watched_flight(found, signals, count) if len(found.chain.delays.turns) == 1 else _believed(
+        found, signals, (0.0,) if pieces is None else pieces.cuts
+    )  # fmt: skip
+    before += watched.before
+    initial |= watched.initial
     rule = Trigger({"silent": Form(plus={COST: 1.0}), SEND: Form(constant=price)})
     after: list[Step] = [
         Decide(AT, SEND, rule),
         Send(AT, LINK, ("command",), SEND),
         Assign(LINK, "input", ({"input": unit}, {"command": unit}), Received(LINK)),
     ]
-    count = 1 if pieces is None else len(pieces.cuts)
     acting = [f"acting {piece}" for piece in range(count)]
     for piece, name in enumerate(acting):
         after.append(Assign(AT, name, {HELD: unit}))
@@ -211,12 +211,7 @@ def _steps(
             value = {sent[age - 1]: unit} if age else {"command": unit}
             after.append(Assign(AT, name, ({name: unit}, value), Acted(LINK, age, piece)))
     after.append(Assign(AT, TRIED, ({ONE: none}, {ONE: one}), SEND))
-    names = {0: TRIED, **flags}
-    for age in range(depth - 1, -1, -1):
-        after.append(Assign(AT, names[age + 1], ({names[age]: one}, {ONE: none}), Acted(LINK, age, count - 1)))
-        for newer in range(age):
-            flag = names[age + 1]
-            after.append(Assign(AT, flag, ({flag: one}, {ONE: none}), Acted(LINK, newer, count - 1)))
+    after += watched.after
     for age in range(depth, 1, -1):
         after.append(Assign(AT, sent[age - 1], {sent[age - 2]: unit}))
     if depth:
@@ -231,7 +226,111 @@ def _steps(
     return (*before, *after), initial
 
 
-def _selected(costs: dict[tuple[int, ...], Form], flags: dict[int, str]) -> list[Step]:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Watched(Displayed):
+    """The policy steps that compute the cost of silence, and those that follow the packets in flight."""
+
+    before: tuple[Step, ...]  # before the decision
+    after: tuple[Step, ...]  # after the packet, with the acknowledgements of the step
+    initial: dict[str, Array]
+
+
+def _watched_flight(found: LateValue, signals: tuple[str, ...], count: int) -> _Watched:
+    """Return the steps of a link with one state: a flag for each age says whether the packet is in flight."""
+    (Psi, psi), depth = found.silent, found.chain.delays.depth
+    costs = {
+        mode.ages: Form(signals, Psi[i], float(psi[i])) for i, mode in enumerate(found.chain.modes)
+    }  # a set of ages is not a mode if packets of these ages never arrive together
+    flags, before = {age: f"flight {age}" for age in range(1, depth + 1)}, list[Step]()
+    for age, flag in flags.items():
+        none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
+        before.append(Decide(AT, f"packet {age} is in flight", none_or_some))
+    before += _selected(costs, flags)
+    after, names, one = list[Step](), {0: TRIED, **flags}, np.ones((1, 1))
+    for age in range(depth - 1, -1, -1):
+        flag = names[age + 1]
+        after.append(Assign(AT, flag, ({names[age]: one}, {ONE: 0.0 * one}), Acted(LINK, age, count - 1)))
+        for newer in range(age):
+            after.append(Assign(AT, flag, ({flag: one}, {ONE: 0.0 * one}), Acted(LINK, newer, count - 1)))
+    return _Watched(tuple(before), tuple(after), {})
+
+
+def _believed(found: LateValue, signals: tuple[str, ...], cuts: tuple[float, ...]) -> _Watched:
+    """Return the steps of a link with several states, which nobody knows: the cost is the mean over the modes."""
+    (Psi, psi), chain = found.silent, found.chain
+    modes, depth, one = len(chain.modes), chain.delays.depth, np.ones((1, 1))
+    if modes > MOST_BELIEVED:
+        raise ProblemError(
+            f"packets that arrive up to {depth} periods late, over a link with {len(chain.delays.turns)} states, have "
+            f"{modes} modes; expected at most {MOST_BELIEVED}: shorter delays, a buffer, or fewer states"
+        )
+    names = [f"cost in mode {i}" for i in range(modes)]
+    before: list[Step] = [Evaluate(AT, name, (Form(signals, Psi[i], float(psi[i])),)) for i, name in enumerate(names)]
+    half = 0.5 * np.eye(modes)
+    product = np.block([[0.0 * half, half], [half, 0.0 * half]])  # of the belief and the costs
+    before.append(Evaluate(AT, COST, (Form((BELIEF, *names), product),)))
+    arrivals, after = [f"arrival {age}" for age in range(depth + 1)], list[Step]()
+    for age, name in enumerate(arrivals):
+        after.append(Assign(AT, name, {ONE: -one}))
+        for piece in reversed(range(len(cuts))):
+            after.append(Assign(AT, name, ({name: one}, {ONE: piece * one}), Acted(LINK, age, piece)))
+    start = np.zeros(modes)
+    for i, mode in enumerate(chain.modes):
+        if not mode.flight:
+            start[i] = stationary(chain.delays.turns)[mode.link]
+    after.append(Apply(AT, {BELIEF: modes}, LateBelief.of(found, cuts, start), (BELIEF, TRIED, *arrivals)))
+    return _Watched(tuple(before), tuple(after), {BELIEF: start})
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LateBelief(Displayed):
+    """Updates the controller's probabilities of the modes by the arrivals of a step, and predicts the next modes.
+
+    After arrivals that the law excludes, such as a lost acknowledgement, it begins again at ``start``.
+    """
+
+    ways: tuple[tuple[int, bool, tuple[int, ...], int, float], ...]  # mode, sent, pieces by age, next mode, probability
+    start: Array
+
+    @staticmethod
+    def of(found: LateValue, cuts: tuple[float, ...], start: Array) -> LateBelief:
+        """Return the update for the outcomes of a chain."""
+        chain, ways = found.chain, dict[tuple[int, bool, tuple[int, ...], int], float]()
+        for sent, steps in chain.outcomes.items():
+            for mode, outcomes in enumerate(steps):
+                for outcome in outcomes:
+                    pieces = [-1] * (chain.delays.depth + 1)
+                    for fraction, age in outcome.path[0]:
+                        pieces[age] = int(np.abs(np.array(cuts) - fraction).argmin())
+                    key = mode, sent[0], tuple(pieces), outcome.after
+                    ways[key] = ways.get(key, 0.0) + outcome.chance
+        return LateBelief(tuple((*key, chance) for key, chance in ways.items()), start)
+
+    def __call__(self, belief: Any, tried: Any, *arrivals: Any) -> Any:
+        """Return the distribution at the next step; an arrival is the piece of a packet of that age, or −1."""
+        acted: list[Any] = []  # an arrival that finds a newer packet changes nothing
+        for age, found in enumerate(arrivals):
+            here = found[0]
+            for newer in arrivals[:age]:
+                here = np.where(newer[0] < -0.5, here, np.where(newer[0] <= here, -1.0, here))
+            acted.append(here)
+        seen = dict[tuple[bool, tuple[int, ...]], Any]()
+        for _, sent, pieces, _, _ in self.ways:
+            if (sent, pieces) not in seen:
+                likely = tried[0] if sent else 1.0 - tried[0]
+                for here, piece in zip(acted, pieces, strict=True):
+                    likely = likely * np.where(np.abs(here - piece) < 0.5, 1.0, 0.0)
+                seen[sent, pieces] = likely
+        weights: list[Any] = [0.0] * len(self.start)
+        for mode, sent, pieces, after, chance in self.ways:
+            weights[after] = weights[after] + chance * seen[sent, pieces] * belief[mode]
+        total = sum(weights)
+        share = np.where(total > 0.0, total, 1.0)
+        known = [np.where(total > 0.0, w / share, s) for w, s in zip(weights, self.start.tolist(), strict=True)]
+        return np.array(known)
+
+
+def _selected(costs: Mapping[tuple[int, ...], Form], flags: Mapping[int, str]) -> list[Step]:
     """Return the steps that evaluate the cost of silence in the mode, the set of packets in flight."""
     if not flags:
         return [Evaluate(AT, COST, (costs[()],))]

@@ -189,6 +189,12 @@ class DelayLaw(Displayed):
         """Describe the law in a few words, for the display of a link."""
         return self.text()
 
+    def averaged(self, shares: Array) -> DelayLaw:
+        """Return the law of a link whose states have these shares of the steps, without its states."""
+        if len(self.odds) == 1:
+            return self
+        return replace(self, odds=(tuple((shares @ np.array(self.odds)).tolist()),))
+
     def of_states(self, states: int) -> DelayLaw:
         """Return the law with a row for each of ``states`` states of the link."""
         if len(self.odds) == states:

@@ -99,8 +99,11 @@ def _expect_held(policy: Policy, network: Network, link: str) -> None:
     others += [step.on for step in policy.steps if isinstance(step, Evaluate)]
     taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
     sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
-    if sent is None:
-        return
+    if sent is None or link not in links_of(policy):
+        raise ProblemError(
+            f"{key} is random, but no node of the policy {policy.kind} receives a packet on the {link} link; expected "
+            f"a constant delay, or {network.key(link, 'buffer')}, with which the samples or inputs are late"
+        )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
     held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
     if not held or any(policy.steps.index(step) < sent for step in taken):

@@ -518,8 +518,12 @@ class Network(Displayed):
 
     def without_bursts(self) -> Network:
         """Return a copy of the network whose losses are independent instead of bursty, with the same mean."""
-        bursty = {name: law for name, law in self.links.items() if law.burst is not None}
-        return self.changed({name: {"loss": law.mean_loss, "burst": None} for name, law in bursty.items()})
+        changes = dict[str, dict[str, Any]]()
+        for name, law in self.links.items():
+            if law.burst is not None:
+                delay = law.delay and law.delay.averaged(law.burst.start)
+                changes[name] = {"loss": law.mean_loss, "burst": None, "delay": delay}
+        return self.changed(changes)
 
     @property
     def rounded(self) -> bool:
@@ -539,9 +543,11 @@ class Network(Displayed):
     def played(self) -> Network:
         """Return a copy of the network without constant delays, which the plant of a design shows instead."""
         late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
-        return (
-            replace(self, links={**self.links, **{name: law.played() for name, law in late.items()}}) if late else self
-        )
+        if not late:
+            return self
+        played = {name: law.played() for name, law in late.items()}
+        buffers = {(name, "loss"): self.key(name, "buffer") for name, law in late.items() if law.buffer is not None}
+        return replace(self, links={**self.links, **played}, stated={**self.stated, **buffers})
 
     def random_delay(self, link: str, period: float) -> DelayLaw | None:
         """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
