@@ -115,7 +115,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
+        # without acknowledgements, the plant of the design has the mean of a random delay
+        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT) and not lacks(LATE),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
         # set-points count from the operating point, so another one starts them elsewhere
         "the initial state is not the one of the design": started
@@ -130,7 +131,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "samples are missing at random": lacks(SAMPLES),
-        "packets are delayed at random": lacks(LATE),
+        "packets are delayed at random, and their delays are not acknowledged": lacks(LATE),
         "the filter has the gain for missing samples, but none is missing": bool(
             policy.network.missing and not network.missing
         ),

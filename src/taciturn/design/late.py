@@ -326,7 +326,8 @@ class LateBelief(Displayed):
             weights[after] = weights[after] + chance * seen[sent, pieces] * belief[mode]
         total = sum(weights)
         share = np.where(total > 0.0, total, 1.0)
-        known = [np.where(total > 0.0, w / share, s) for w, s in zip(weights, self.start.tolist(), strict=True)]
+        pairs = zip(weights, self.start.tolist(), strict=True)
+        known: list[Any] = [np.where(total > 0.0, weight / share, start) for weight, start in pairs]
         return np.array(known)
 
 

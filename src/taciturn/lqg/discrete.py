@@ -640,7 +640,7 @@ def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError
     )
 
 
-def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
+def _expect_reached(plant: Plant | ContinuousPlant, U: Array, exosystem: Exosystem) -> None:
     """Raise an error if a set-point, at the start or of a timetable, needs an input beyond its limits."""
     limit, changes, points = plant.input_limit, exosystem.changes, exosystem.start[None]
     if limit is None:

@@ -254,7 +254,7 @@ def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
         return _of_states(name, cast("object", value))
     if form in ("histogram", "trace"):
         if not isinstance(value, str):
-            raise ProblemError(f"{name}.{form} is {quoted(value)}; expected the name of a file in quotes")
+            raise ProblemError(f"{name}.{form} is {quoted(table[form])}; expected the name of a file in quotes")
         rows = _numbers(f"{name}.{form}", value, form)
         return _of_histogram(f"{name}.{form}", rows) if form == "histogram" else _of_trace(f"{name}.{form}", rows)
     if isinstance(value, list | tuple):

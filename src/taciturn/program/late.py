@@ -90,7 +90,7 @@ class Ring:
             moved = b.emit("add", here, b.constant(1.0))
             ended = b.greater(moved, len(law.sequence) - 0.5)
             turned, start = b.greater(1.0 / law.block, tick.uniform()), tick.uniform()
-            begun = floor(b, b.scale(float(len(law.sequence)), start))
+            begun = b.value(floor(b, b.scale(float(len(law.sequence)), start)))
             after = b.choose(ended, b.constant(0.0), moved)
             tick.signals[place_of(self.link)] = [b.choose(turned, begun, after)]
             found = [*self.codes, NEVER]
