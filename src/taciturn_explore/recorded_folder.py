@@ -49,7 +49,8 @@ def of_folder(folder: Path, problem: Problem | None) -> Recording:
         )
     first = int(values[0, 1])
     lanes, late, arrived = _lanes(folder / PACKETS, first, steps, problem)
-    sent, lost = (sum(int(part.sum()) for lane in lanes if (part := marks(lane)) is not None) for marks in (_s, _d))
+    sent = sum(int(lane.sent.sum()) for lane in lanes)
+    lost = sum(0 if lane.dropped is None else int(lane.dropped.sum()) for lane in lanes)
     shares = [f"{lane.link} sent in {percent(lane.sent.mean(), 1)}" for lane in lanes[:3]]
     told = [f"{lost} of {number_of(sent, 'packet')} dropped", f"{late.total()} of {arrived} late"] if sent else []
     verdict = "; ".join([number_of(steps, "step") + (f": {', '.join(shares)}" if shares else ""), *told])
@@ -65,14 +66,6 @@ def of_folder(folder: Path, problem: Problem | None) -> Recording:
         list(_traces(head, values, problem)), lanes, faults,
         notes=["a record has no memory of the nodes: their logs (taciturn node --log) have certificates and triggers"],
     )  # fmt: skip
-
-
-def _s(lane: Lane) -> Marks:
-    return lane.sent
-
-
-def _d(lane: Lane) -> Marks | None:
-    return lane.dropped
 
 
 def _traces(head: Sequence[str], values: np.ndarray, problem: Problem | None) -> Iterator[Trace]:

@@ -28,6 +28,7 @@ from taciturn.extend import Array, Displayed, number_of, percent, quoted, read_b
 from taciturn.problem import Problem
 from taciturn_explore.network import histogram
 from taciturn_explore.response import short
+from taciturn_udp.record import PACKETS, SIGNALS
 
 MOST = 2**27  # bytes of a file
 STEPS = 50_000  # that a page shows
@@ -163,7 +164,7 @@ def read_recording(paths: Sequence[Path], problem: Problem | None) -> Recording:
     from taciturn_explore.recorded_runs import of_document, of_table
     from taciturn_explore.recorded_twins import HDF5, of_twin
 
-    folders = [path for path in paths if path.is_dir()]
+    folders = [path for path in paths if any((path / name).is_file() for name in (PACKETS, SIGNALS))]
     if folders and len(paths) == 1:
         return of_folder(paths[0], problem)
     if folders:

@@ -12,8 +12,9 @@ from __future__ import annotations
 import json
 import math
 import threading
+import time
 from array import array
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from taciturn_udp.record import Record
 
 PART = 2**20  # bytes of a part of a log, of which a node has at most two
-PAUSE = 0.2  # seconds between two searches for complete parts
+PAUSE = 0.2  # seconds between two searches for complete lines
+SOME = 8  # lines that are read at once
 
 
 class Arrival(NamedTuple):
@@ -149,15 +151,13 @@ def _is_whole(path: Path) -> bool:
 
 def logged_lines(log: Path) -> list[dict[str, Any]]:
     """Yield the entries of a node's log."""
-    return _entries(log.read_text(encoding="utf-8"))
+    return list(_entries(log.read_text(encoding="utf-8")))
 
 
-def _entries(text: str) -> list[dict[str, Any]]:
-    lines: list[dict[str, Any]] = []
+def _entries(text: str) -> Iterator[dict[str, Any]]:
     for row in text.splitlines():
         with suppress(ValueError):  # the last line of a process that was killed
-            lines.append(json.loads(row))
-    return lines
+            yield json.loads(row)
 
 
 class _Tail:
@@ -167,29 +167,29 @@ class _Tail:
         self._log, self._part = log, name_of_part(log)
         self._read = 0  # bytes of the oldest part that were read
 
-    def lines(self, ended: bool = False) -> list[dict[str, Any]]:
+    def lines(self, ended: bool = False) -> Iterator[dict[str, Any]]:
         """Return the lines that were completed since the last call; delete the part that the node has completed.
 
         If the node has ended, a last line without its end is read, too.
         """
-        found = list[dict[str, Any]]()
+        found = ""
         if self._part.exists():
             with self._part.open("rb") as file:
-                found += self._rest(file, True)
+                found += self._rest(file, True) + "\n"
             self._part.unlink()
             self._read = 0
         # the file does not exist between the end of a part and the beginning of the next one
         with suppress(FileNotFoundError), self._log.open("rb") as file:
             if not self._part.exists():  # else this may already be the next part
                 found += self._rest(file, ended)
-        return found
+        return _entries(found)
 
-    def _rest(self, file: BinaryIO, ended: bool) -> list[dict[str, Any]]:
+    def _rest(self, file: BinaryIO, ended: bool) -> str:
         file.seek(self._read)
         content = file.read()
         whole = content if ended else content[: content.rfind(b"\n") + 1]
         self._read += len(whole)
-        return _entries(whole.decode("utf-8", errors="replace"))
+        return whole.decode("utf-8", errors="replace")
 
 
 class Logs:
@@ -255,7 +255,9 @@ class Logs:
         sends = [link for link, (sender, _) in self._ends.items() if sender == role]
         hears = [link for link, (_, receiver) in self._ends.items() if receiver == role]
         record = self._record
-        for line in lines:
+        for number, line in enumerate(lines):
+            if number % SOME == 0:
+                time.sleep(0)  # the thread of the plant may run
             for link in sends:
                 if line[f"sent_{link}"]:
                     self._sent[link].append(line["tick"])

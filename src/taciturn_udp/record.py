@@ -2,7 +2,7 @@
 
 | column of ``packets.csv`` | meaning |
 |---|---|
-| `time` | seconds from the beginning of step 0 to the event; of a lost packet, until it was sent |
+| `time` | seconds from the beginning of step 0 to the event; of a dropped packet, until it was sent |
 | `step`, `link` | step and link of the packet |
 | `event` | `sent`, `delivered`, `late` (delivered after the step that reads the packet, `lateness`) or `lost` |
 | `delay` | seconds from sending to arrival |
@@ -10,10 +10,10 @@
 | `trigger` | value of silence in the decision to send, as in ``simulate``; empty if no signal decides |
 
 A row of ``signals.csv`` has the measurement and the input of a step, and the set-points of the simulated plant, with
-the names of ``taciturn simulate --table``. In virtual time, times are those of the steps. Of a packet that a node has
-sent again, the first departure and the first arrival count.
+the names of ``taciturn simulate --table``. In virtual time, times are those of the steps. If a node has sent a packet
+again, its first sending and its first arrival count.
 
-The rows come from the logs of the nodes, which the run reads while it goes on (``logs``), so a node does no further
+The rows come from the logs of the nodes, which the run reads meanwhile (``logs``), so a node does no further
 work. A packet without an arrival waits in a table of at most ``WIDTH`` packets for each link, as its receiver refuses
 older ones. Rows are held back until the logs of all nodes have reached their time, then sorted, and written as whole
 lines in one call.
@@ -47,6 +47,7 @@ from taciturn_udp.logs import Arrival
 PACKETS, SIGNALS = "packets.csv", "signals.csv"
 HEAD = ("time", "step", "link", "event", "delay", "bytes", "trigger")
 HELD = 4096  # largest number of rows that wait for the log of a node
+SOME = 64  # rows that are written at once; between them, the thread of the plant may run
 EVENTS = ("sent", "delivered", "late", "lost")
 Cell: TypeAlias = float | int | str | None
 Lost: TypeAlias = Callable[[int, int], bool]  # whether a link drops the packet of a sequence number and a step
@@ -166,7 +167,7 @@ class Record:
                 (self.folder / name).unlink(missing_ok=True)
 
     def _match(self, whole: bool = False) -> None:
-        """Record the arrivals whose departures were read meanwhile; ``whole``: also the others."""
+        """Record the arrivals whose packets the log of the sender now has; ``whole``: also the others."""
         for link, arrivals in self._early.items():
             known = [came for came in arrivals if (came.epoch, came.sequence) in self._roads[link]]
             for came in known:
@@ -195,11 +196,12 @@ class Record:
         if not rows or file.closed or self._trouble is not None:
             return
         self._empty = False
-        content, place = _text(rows), file.tell()
         try:
-            if file.write(content) < len(content):
-                file.truncate(place)
-                raise OSError(errno.ENOSPC, "the disk is full")
+            for first in range(0, len(rows), SOME):
+                content, place = _text(rows[first : first + SOME]), file.tell()
+                if file.write(content) < len(content):
+                    file.truncate(place)
+                    raise OSError(errno.ENOSPC, "the disk is full")
         except OSError as error:  # must not end the run
             self._trouble = error
 

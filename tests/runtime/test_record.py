@@ -274,9 +274,10 @@ def test_a_damaged_folder_is_refused(tmp_path: Path, name: str, text: str | None
 
 def test_a_folder_stands_alone(tmp_path: Path) -> None:
     """Among logs, and where the cost of silence is asked for, a folder is refused."""
+    (tmp_path / "packets.csv").touch()
     with pytest.raises(ProblemError, match="expected one folder, or the logs"):
         read_recording([tmp_path, tmp_path], None)
-    with pytest.raises(ProblemError, match="is a folder, and the packets and signals"):
+    with pytest.raises(ProblemError, match="is the folder of a record, and the packets"):
         recorded_silence(silent("held"), [tmp_path])
 
 
