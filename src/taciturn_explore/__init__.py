@@ -9,8 +9,8 @@
    by name, with caches.
 4. ``work``: the processes that compute answers. ``session``: the answers to a setting in their order.
 5. ``server``: the page on this machine. ``commands``: the command ``explore``.
-6. ``recording``: the record of a run, from logs (``recorded_nodes``), documents and tables (``recorded_runs``), and
-   files of twins (``recorded_twins``).
+6. ``recording``: the record of a run, from logs (``recorded_nodes``), documents and tables (``recorded_runs``), folders
+   (``recorded_folder``), and files of twins (``recorded_twins``).
 7. Without a server: ``bundle`` joins the scripts, ``saved`` writes a page with precomputed answers, and ``notebook`` is
    the page in a cell of a notebook.
 

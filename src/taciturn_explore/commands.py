@@ -37,7 +37,8 @@ def explore(
             "--recording",
             metavar="RECORD",
             help="Show a recorded run from a file that `taciturn network`, `taciturn show` or `taciturn twin` "
-            "wrote, or from the logs of nodes. Repeat the option for each log.",
+            "wrote, from the folder of `taciturn network --record`, or from the logs of nodes. Repeat the option for "
+            "each log.",
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,

@@ -5,7 +5,8 @@ A record is read from files, whose kind is known by their content (``read_record
 * logs of nodes and of a plant, one file or more (``recorded_nodes``);
 * the JSON document of ``taciturn network``, with or without ``--world``, of ``taciturn show --record`` and of
   ``taciturn twin``, or the table of a run of a network (``recorded_runs``);
-* the NetCDF file of a twin (``recorded_twins``).
+* the NetCDF file of a twin (``recorded_twins``);
+* the folder of ``taciturn network --record`` (``recorded_folder``).
 
 The files may come from a stranger: they are regular files of a limited size, nothing in them is executed, and every
 number that is used is checked. A page shows the last ``STEPS`` steps.
@@ -27,6 +28,7 @@ from taciturn.extend import Array, Displayed, number_of, percent, quoted, read_b
 from taciturn.problem import Problem
 from taciturn_explore.network import histogram
 from taciturn_explore.response import short
+from taciturn_udp.record import PACKETS, SIGNALS
 
 MOST = 2**27  # bytes of a file
 STEPS = 50_000  # that a page shows
@@ -34,8 +36,8 @@ FAULTS = 400  # that a page lists
 LARGEST = 1e300  # of a number that is shown
 LONGEST = 200  # characters of a name or a sentence in a file
 RECORDS = (
-    "logs of nodes (taciturn node --log), the JSON document of taciturn network, show --record or twin, the table of a "
-    "run, or the NetCDF file of a twin (--record)"
+    "logs of nodes (taciturn node --log), the folder of taciturn network --record, the JSON document of taciturn "
+    "network, show --record or twin, the table of a run, or the NetCDF file of a twin (--record)"
 )
 
 Marks: TypeAlias = npt.NDArray[np.bool_]
@@ -152,15 +154,24 @@ class Recording(Displayed):
 
 
 def read_recording(paths: Sequence[Path], problem: Problem | None) -> Recording:
-    """Read a recorded run from files: logs of nodes, for which ``problem`` gives the names of signals, or run results.
+    """Read a recorded run from files or a folder: logs of nodes, for which ``problem`` names signals, or run results.
 
     Raises:
         ProblemError: a file cannot be read, is no record, or has a part that no record has.
     """
+    from taciturn_explore.recorded_folder import of_folder
     from taciturn_explore.recorded_nodes import is_log, of_nodes
     from taciturn_explore.recorded_runs import of_document, of_table
     from taciturn_explore.recorded_twins import HDF5, of_twin
 
+    folders = [path for path in paths if any((path / name).is_file() for name in (PACKETS, SIGNALS))]
+    if folders and len(paths) == 1:
+        return of_folder(paths[0], problem)
+    if folders:
+        raise ProblemError(
+            f"the folder {folders[0]} is given with other records; expected one folder, or the logs of all nodes of "
+            "one run"
+        )
     contents = [_content(path) for path in paths]
     name = ", ".join(path.name for path in paths)
     name = name if len(name) <= 60 else f"{paths[0].name} and {len(paths) - 1} more"

@@ -193,6 +193,13 @@ def network(
             "seed selects.",
         ),
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Record all packets and signals of the run in FOLDER/packets.csv and FOLDER/signals.csv.",
+        ),
+    ] = None,
     loads: Loads = None,
     as_json: Json = False,
     verbose: Verbose = False,
@@ -206,7 +213,7 @@ def network(
     problem = load_changed(file, settings, no_functions)
     if world is not None:
         others = {"--steps": steps, "--real-time": real_time, "--tick": tick, "--loss": loss}
-        others |= {"--namespaces": namespaces, "--seed": seed, "--key": key, "--load": loads}
+        others |= {"--namespaces": namespaces, "--seed": seed, "--key": key, "--load": loads, "--record": record}
         from taciturn.extend import load_plugin
 
         run_world = load_plugin("taciturn.worlds", "faults", "--world")
@@ -223,7 +230,7 @@ def network(
     with progress_bar("running") as progress:
         found = run_network(
             file, settings=settings or (), steps=steps, tick=length, seed=seed, key=read_keys(key), fates=fates,
-            namespaces=namespaces, progress=progress, functions=not no_functions, loads=loads or (),
+            namespaces=namespaces, progress=progress, functions=not no_functions, loads=loads or (), record=record,
         )  # fmt: skip
     print_result(found, as_json, verbose, problem)
 

@@ -25,10 +25,11 @@ from taciturn.model.packets import plant_link
 from taciturn.model.wire import EITHER, LARGEST, SETPOINT
 from taciturn.nodes.clock import JUMPED, LATE, Phase
 from taciturn.nodes.inbox import AHEAD, OPERATOR, USABLE, Window
+from taciturn.nodes.lateness import Lateness
 from taciturn.nodes.node import Measurement, Node, Values, check_seal, sealed
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, check_plant, peers_by_link
-from taciturn_udp.logs import log_line
+from taciturn_udp.logs import Arrival, log_line, packet_times
 from taciturn_udp.proofs import OPERATED, Outbox, Reception
 from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 
@@ -103,7 +104,8 @@ class NodeServer:
         self.reception = Reception(wire, endpoint, first.role, links, say, draw)
         self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
-        self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
+        self.lateness: dict[str, Lateness] = {}  # of these packets, by link, as far as this node can tell
+        self._news: list[dict[str, list[Arrival]]] = [{} for _ in nodes]  # those since the last log line
         self._measurements: list[dict[int, Measurement]] = [{} for _ in nodes]
         self._seen = [node.tick for node in nodes]  # step of the last measurement that each loop has used
         self._measured = [Window() for _ in nodes]
@@ -160,6 +162,7 @@ class NodeServer:
             "tick": max(node.tick for node in self.nodes),
             "counters": dict(counters),
             "arrived": dict(self.arrived),
+            "late_packets": {link: one.document() for link, one in self.lateness.items()},
             "waiting": sum(node.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "proofs": dict(self.reception.counters),
@@ -274,6 +277,9 @@ class NodeServer:
     def _note(self, packet: Packet, handling: str, now: float, repeated: bool) -> None:
         """Draw the conclusions from a packet that a node has sorted in: it may correct the clock, and ends silence."""
         loop, node = packet.loop, self.nodes[packet.loop]
+        # in lockstep, a step runs from the end of the step before
+        runs = node.tick + 1 if self._tick is None or not self.phase.known else self.phase.now(now)
+        late = node.inbox.late_by(packet, runs)
         # acknowledgements arrive after their step, so they do not count; a packet far ahead shows a late phase
         if packet.link in node.program.hears and self._tick is not None and handling in USABLE | {"ahead"}:
             self.phase.hear(packet.tick, now)
@@ -284,8 +290,11 @@ class NodeServer:
             self._expires = now + self._patience
         if packet.kind == "data":
             self.arrived[packet.link] += 1
+            self.lateness.setdefault(packet.link, Lateness()).add(late, handling == "late")
             if self._told is not None:
-                self._news[loop].setdefault(packet.link, []).append(packet.sequence)
+                read = packet.tick + node.listens.get(packet.link, 0)
+                came = Arrival(packet.epoch, packet.sequence, packet.tick, read, now, late, handling == "late")
+                self._news[loop].setdefault(packet.link, []).append(came)
 
     def _begins(self, packet: Packet, now: float) -> bool:
         """Return whether the step of a measurement can have begun and has not been executed."""
@@ -315,6 +324,7 @@ class NodeServer:
                 out.append(self._input(node, tick, given))
             self._outbox.keep(loop, out)
             self._save(node)
+            sent = self._clock()
             self._outbox.send(out)
             if loop in self._asked:
                 self._report_set_points(node, self._asked.pop(loop))
@@ -323,7 +333,9 @@ class NodeServer:
             if self._told is not None:
                 news, self._news[loop] = self._news[loop], {}
                 several = loop if len(self.nodes) > 1 else None
-                self._told(log_line(node, measurement, packets, given, news, several))
+                numbers = {link: [one.sequence for one in came] for link, came in news.items()}
+                line = log_line(node, measurement, packets, given, numbers, several)
+                self._told(line | packet_times(packets, sent, news))
             now = self._clock()
             if not node.measures or self._seen[loop] == tick:
                 self._expires = now + self._patience

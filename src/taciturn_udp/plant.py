@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from taciturn.extend import Array
 from taciturn.model.wire import BACK, PROOFS
 from taciturn.nodes.inbox import AHEAD, Window
+from taciturn.nodes.lateness import Lateness
 from taciturn.nodes.node import Measurement, Values
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, peers_by_link
@@ -105,7 +106,9 @@ class PlantServer:
         applied = {link: ends.inputs for link, ends in wire.plant.items() if ends.inputs}
         self._inputs = [{link: _Inputs(places) for link, places in applied.items()} for _ in plants]
         self._shift = 0  # number of the first step, which nodes that already run determine
+        self._zero: float | None = None  # time at which the first step begins
         self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
+        self.lateness = {link: Lateness() for link in applied}  # of the inputs, by link
         self.taken = 0  # inputs that were applied or stored for their step
         self.costs: list[list[float]] = [[] for _ in plants]
         self.reception = Reception(wire, endpoint, "plant", list(wire.plant), say, draw)
@@ -121,7 +124,7 @@ class PlantServer:
 
     def turns(self, steps: int, stopped: Callable[[], bool]) -> Turns:
         """Execute ``steps`` steps, or fewer if the server is stopped; wait for datagrams between the steps."""
-        zero = self._clock()
+        self._zero = zero = self._clock()
         for count in range(steps):
             if stopped():
                 break
@@ -155,6 +158,10 @@ class PlantServer:
                     }
                     self._told(line)
 
+    def begins(self, tick: int) -> float | None:
+        """Return the time at which a step begins in real time, by the server's clock; None before the first step."""
+        return None if self._zero is None or self._tick is None else self._zero + (tick - self._shift) * self._tick
+
     def report(self) -> dict[str, Any]:
         """Return the counters so far."""
         return {
@@ -164,6 +171,7 @@ class PlantServer:
             "largest_state": self.largest,
             "measured_again": self.again,
             "inputs": self.taken,
+            "late_packets": {link: one.document() for link, one in self.lateness.items()},
             "refused": dict(self.refused),
             "proofs": dict(self.reception.counters),
             "datagrams": self.endpoint.counted,
@@ -256,7 +264,9 @@ class PlantServer:
             self._now = packet.tick  # the nodes run already, and this plant has started again
         if news != "new":
             self.refused[news] += 1
-        elif packet.tick > self._now + AHEAD:
+            return
+        self.lateness[packet.link].add(max(0, self._now - packet.tick))
+        if packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
             one.waiting[packet.tick] = packet

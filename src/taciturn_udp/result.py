@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import VERDICT, Column, Columns, Field, Tabular, seconds
 from taciturn.model.silence import Certificate, Life
+from taciturn.nodes.lateness import Lateness, total_of
 from taciturn.simulation.average import base_rate
 from taciturn.study.evaluation import TimeUnit, Unit, rate_unit
 from taciturn.study.sentences import WITHDRAWN, compared_text, share_of, share_text
@@ -45,6 +46,12 @@ def _verdict(found: NetworkRun) -> Iterator[str]:
     else:
         told.append(f"cost {found.cost} {found.per}")
     told.append(f"{lost} of {number_of(sent, 'packet')} dropped")
+    late, inputs = (
+        total_of(one for link, one in found.lateness.items() if (link in found.datagrams) is packet)
+        for packet in (True, False)
+    )
+    told += [f"{late.late} of {late.arrived} late"] if found.real_time or late.late else []
+    told += [f"{inputs.late} of {number_of(inputs.arrived, 'input')} late"] if inputs.late else []
     yield ", ".join(told)
     if found.certificate is not None:
         yield found.certificate.verdict()
@@ -69,6 +76,14 @@ def _links(found: NetworkRun) -> str:
     words = {"again": "sent again", "lost": "dropped"}
     told = [words.get(name, name.replace("_", " ")) for name in names]
     return table_text(["", f"sends per {found.rate_unit}", "of the packets", *told], rows, 1) if rows else ""
+
+
+def _lateness(found: NetworkRun) -> Iterator[str]:
+    """Yield how many packets of each link were late; in virtual time, only of links with late packets."""
+    for link, counted in found.lateness.items():
+        if counted.late or (found.real_time and counted.arrived):
+            noun = "packet" if link in found.datagrams else "input"
+            yield f"{link}: {counted.text(noun)}"
 
 
 def _degraded(found: NetworkRun) -> dict[str, Any]:
@@ -123,6 +138,9 @@ class NetworkRun(Tabular):
         nominal: whether the loop and the links are those of the design; if not, no guarantee holds.
         seconds: wall time.
         notes: warnings and remarks for the reader.
+        lateness: numbers of data packets and of inputs of the plant that arrived, and of those that were late, by the
+            steps that they were late, by link.
+        real_time: whether the run was in real time.
     """
 
     FIELDS: ClassVar[tuple[Field[NetworkRun], ...]] = (
@@ -140,6 +158,13 @@ class NetworkRun(Tabular):
         Field("cost_bound", _bound),
         Field("rates", json=_rates),
         Field("datagrams"),
+        Field(
+            "lateness",
+            lambda found: {link: one.document() for link, one in found.lateness.items()},
+            key="late_packets",
+            say="late",
+            text=_lateness,
+        ),
         Field("seed", say="seed", part="method"),
         Field("method"),
         Field("seconds", json=seconds, say="time", text="{:.3g} s", part="method"),
@@ -166,6 +191,8 @@ class NetworkRun(Tabular):
     nominal: bool
     seconds: float
     notes: tuple[str, ...]
+    lateness: Mapping[str, Lateness] = field(default_factory=dict[str, Lateness])
+    real_time: bool = False
 
     @property
     def rate_unit(self) -> TimeUnit:

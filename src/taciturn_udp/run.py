@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,9 +37,10 @@ from taciturn.study.sentences import WITHDRAWN
 from taciturn_udp.averages import cost_of_ticks, rate_of_ticks, remark_on_rates
 from taciturn_udp.endpoint import Endpoint, parse_address
 from taciturn_udp.logs import PART, Logs
-from taciturn_udp.namespaces import Counted, Namespaces, kernel_losses, predict_drops
+from taciturn_udp.namespaces import Counted, KernelLoss, Namespaces, kernel_losses, predict_drops
 from taciturn_udp.plant import PlantServer
 from taciturn_udp.processes import Processes
+from taciturn_udp.record import Lost, Record
 from taciturn_udp.relay import Fate, losses
 from taciturn_udp.result import NetworkRun, uncertified
 from taciturn_udp.service import Told
@@ -59,6 +60,7 @@ def run_network(
     namespaces: bool = False,
     functions: bool = True,
     loads: Sequence[str] = (),
+    record: str | Path | None = None,
     progress: Progress | None = None,
     meanwhile: Callable[[Processes], None] | None = None,
 ) -> NetworkRun:
@@ -80,12 +82,14 @@ def run_network(
             losses of ``[network]``.
         functions: whether the file may name functions, which are executed.
         loads: loads that are added to the simulated plant, each of the form VALUE@SECONDS as in ``--load``.
+        record: folder in which all packets and signals are recorded, as ``packets.csv`` and ``signals.csv``.
         progress: callback that receives the fraction done.
         meanwhile: function that is called in a separate thread when all processes run, to disturb them.
 
     Raises:
-        ProblemError: the data are inconsistent, the nodes cannot be separated, or a process has ended; with namespaces,
-            also if fates are given, losses are in bursts or not in permille, or rights or programs are missing.
+        ProblemError: the data are inconsistent, the nodes cannot be separated, a process has ended, or there is a
+            record in the folder already; with namespaces, also if fates are given, losses are in bursts or not in
+            permille, or rights or programs are missing.
     """
     read = isinstance(file, str | Path)  # whether the processes read the file, or the problem is passed to them
     problem = load(file, functions=functions) if read else as_problem("file", file)
@@ -106,21 +110,23 @@ def run_network(
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
     chosen = fates if fates is not None else losses(problem.network, seed)
+    relayed = {**losses(Network(), seed), **chosen}
+    lost = {link: _dropped(one) for link, one in drops.items()} if namespaces else _foreseen(relayed)
     began = time.monotonic()
     with (
         temporary_folder() as folder,
         Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
+        nullcontext() if record is None else closing(Record(Path(record), loop, wire, tick, lost)) as written,
     ):
         changed = [part for text in settings for part in ("--set", text)] if read else []
         changed += [] if functions else ["--no-functions"]
         passed = {} if read else pass_problem(problem, folder)
         given = str(file) if read else passed[PASSED]
         processes = Processes(
-            given, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
+            given, policy, relayed, tick=tick, folder=folder,
             keeps=meanwhile is not None, options=["--seed", str(seed), "--log-part", str(PART), *changed],
             key=key, namespaces=spaces, environment=passed,
         )  # fmt: skip
-        logs = Logs(processes)
         with nullcontext() if spaces is None else spaces.visit("plant"):
             plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
         try:
@@ -129,7 +135,9 @@ def run_network(
             simulated = SimulatedPlant(loop, seed)
             bar = in_notebook(progress)
             shown: Told | None = None if bar is None else lambda line: bar((line["tick"] + 1) / steps)
-            server = PlantServer([simulated], wire, plant, sensors, tick=tick, told=shown)
+            watched = simulated if written is None else written.watch(simulated)
+            server = PlantServer([watched], wire, plant, sensors, tick=tick, told=shown)
+            logs = Logs(processes, server.begins, tick, written)
             with logs.followed():
                 if meanwhile is None:
                     server.run(steps, processes.ended)
@@ -138,6 +146,9 @@ def run_network(
                 if processes.ended():
                     raise ProblemError(processes.sentence())
                 reports = {**processes.stop(), "plant": server.report()}
+            for report in reports.values():  # a node cannot see a delay that all packets have
+                report |= {"late_packets": _known_lateness(report, logs)} if "arrived" in report else {}
+            unwritten = () if written is None else written.finish(_pending(reports))
             seen: dict[str, Counted] = {}
             if spaces is not None:
                 seen = {link: spaces.counted(link) for link in processes.links}
@@ -164,6 +175,8 @@ def run_network(
         costs=costs,
         sends=sends,
         arrived={link: logs.arrived(link) for link in processes.links},
+        lateness={**logs.lateness, **server.lateness},
+        real_time=tick is not None,
         seed=seed,
         nominal=not differences,
         seconds=time.monotonic() - began,
@@ -172,6 +185,7 @@ def run_network(
         + _unheard(loop, datagrams)
         + _unforeseen(datagrams)
         + uncertified(loop, reports)
+        + unwritten
         + tuple(f"{text}{WITHDRAWN}" for text in differences),
     )
 
@@ -192,6 +206,26 @@ def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple
     """Return the links whose losses, delays or changes of packets differ from those of the network."""
     other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
+
+
+def _foreseen(fates: Mapping[str, Fate]) -> dict[str, Lost]:
+    """Return for each link whether its relay drops a packet."""
+    return {link: fate.lost for link, fate in fates.items()}
+
+
+def _dropped(loss: KernelLoss) -> Lost:
+    """Return whether the kernel drops a packet of a link."""
+    return lambda sequence, step: bool(loss.permille and predict_drops(loss.seed, loss.permille, [sequence])[0])
+
+
+def _known_lateness(report: Mapping[str, Any], logs: Logs) -> dict[str, Any]:
+    """Return how late the packets of a node were by the steps of the plant, in place of its own estimate."""
+    return {link: logs.lateness[link].document() for link in report["late_packets"]}
+
+
+def _pending(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+    """Return the numbers of packets that are still on the way, by link."""
+    return {name.partition(" ")[2]: report["pending"] for name, report in reports.items() if "pending" in report}
 
 
 def _disturbed(server: PlantServer, steps: int, processes: Processes, meanwhile: Callable[[Processes], None]) -> None:

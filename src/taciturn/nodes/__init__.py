@@ -10,5 +10,6 @@ Read the modules in this order:
    replay, and handles late, repeated, missing and forged packets. Every case is counted.
 2. ``node`` contains one node, ``together`` all nodes of a policy as one pure function, and ``description`` packets and
    nodes as JSON for programs in other languages.
-3. ``simulated_plant`` contains a simulated plant. ``clock`` estimates the phase of the steps in real time.
+3. ``simulated_plant`` contains a simulated plant. ``clock`` estimates the phase of the steps in real time, and
+   ``lateness`` counts late packets by the steps that they are late.
 """

@@ -184,6 +184,11 @@ class Inbox:
         self._miss(stream, packet)
         return "late"
 
+    def late_by(self, packet: Packet, present: int) -> int:
+        """Return how many whole steps after the step that reads it a packet arrives, if step ``present`` runs then."""
+        stream = self.streams.get((packet.kind, packet.link))
+        return 0 if stream is None else max(0, present - packet.tick - stream.lag)
+
     def settled(self, link: str, tick: int) -> bool:
         """Check whether a step's packet has arrived, or the sender has reported that it sends no packet in this
         step.

@@ -235,6 +235,11 @@ def recorded_silence(problem: Studied, logs: Iterable[str | Path]) -> Recorded:
 
 def _lines(path: Path, policy: Policy, network: Network) -> list[Line]:
     """Return the lines of the log of a node."""
+    if (path / "packets.csv").is_file():
+        raise ProblemError(
+            f"the log {path} is the folder of a record, and the packets and signals of a run do not contain what its "
+            "silence cost; expected the log of a node, as `taciturn node --log` writes"
+        )
     try:
         text = read_text(path, MOST)
     except (OSError, ValueError) as error:
