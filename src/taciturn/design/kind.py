@@ -38,7 +38,7 @@ from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ide
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import Network
+from taciturn.model.network import LATE, Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
 from taciturn.model.transport import delayed_by
@@ -218,9 +218,11 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
+            late = network.losing.startswith(LATE)
+            remedy = "a buffer that no delay exceeds" if late else f"remove {network.losing}"
             raise PlacementError(
                 f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
-                f"remove {network.losing} (`taciturn network FILE --loss P` drops packets of any policy kind)"
+                f"{remedy} (`taciturn network FILE --loss P` drops packets of any policy kind)"
             )
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))

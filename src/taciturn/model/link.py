@@ -66,8 +66,8 @@ class LinkLaw(Displayed):
     battery: float | None = None
     min_interval: int = 1
     max_interval: int | None = None
-    delay: DelayLaw | None = field(default=None, metadata=stated_as(float | list[float] | dict[str, Any] | None))
-    buffer: Wait | None = field(default=None, metadata=stated_as(int | dict[str, Any] | None))
+    delay: DelayLaw | None = field(default=None, metadata=stated_as(Any))  # checked below, with all its forms
+    buffer: Wait | None = field(default=None, metadata=stated_as(Any))
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -122,6 +122,8 @@ class LinkLaw(Displayed):
             )
         buffer = None if self.buffer is None else wait_from("buffer", self.buffer)
         if buffer is not None and law is not None:
+            if not any(buffer):
+                raise ProblemError("buffer is 0, and packets are delayed; expected a buffer above 0, or no buffer")
             if law.in_seconds != (buffer.steps == 0 and buffer.seconds > 0):
                 raise ProblemError(
                     f"buffer is {buffer.text()}, and delay is {law.text()}; expected both in steps or both in seconds"
@@ -133,8 +135,6 @@ class LinkLaw(Displayed):
                 )
         object.__setattr__(self, "delay", law)
         object.__setattr__(self, "buffer", buffer if buffer is not None and any(buffer) else None)
-        if buffer is not None and not any(buffer) and law is not None:
-            raise ProblemError("buffer is 0, and packets are delayed; expected a buffer above 0, or no buffer")
 
     @property
     def _drops(self) -> bool:

@@ -141,10 +141,11 @@ USUAL: Mapping[str, NodeRole] = {
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 PROTOCOL = "network.protocol"
+LATE = "the loss of packets later than "
 SHORT: Mapping[tuple[str, str], str] = {
     (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
     for link in ("sensor", "actuator")
-    for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload")
+    for name in ("loss", "burst", "range", "energy", "battery", "delay", "buffer", "acknowledged", "payload")
 }
 """The keys of the table [network], which states properties of the links between the usual nodes."""
 RESERVED = PLANT, SETPOINT  # links that are not those of nodes
@@ -536,11 +537,19 @@ class Network(Displayed):
         return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
 
     def played(self) -> Network:
-        """Return a copy of the network without constant delays, which the plant of a design shows instead."""
+        """Return a copy of the network without constant delays, which the plant of a design shows instead.
+
+        Losses that are only those of late packets have the name of the buffer in messages.
+        """
         late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
-        return (
-            replace(self, links={**self.links, **{name: law.played() for name, law in late.items()}}) if late else self
-        )
+        if not late:
+            return self
+        stated, links = dict(self.stated), {name: law.played() for name, law in late.items()}
+        for name, law in late.items():
+            if law.loss == 0.0 and law.burst is None and links[name].mean_loss > 0.0:
+                told = f"{LATE}{self.key(name, 'buffer')}"
+                stated |= {(name, key): told for key in ("loss", "burst", "acknowledged")}
+        return replace(self, links={**self.links, **links}, stated=stated)
 
     def delayed_as(self, other: Network) -> Network:
         """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
