@@ -145,24 +145,28 @@ class DelayLaw(Displayed):
         """The largest delay of a packet that arrives."""
         return self.wait(-1)
 
-    @property
-    def mean(self) -> float:
-        """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
-        weights = np.mean(np.array(self.odds), axis=0)
+    def arriving(self, shares: Sequence[float] = ()) -> Array:
+        """Return the probability of each delay, for the shares of the states of the link; default: equal ones."""
+        return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
+
+    def mean(self, shares: Sequence[float] = ()) -> float:
+        """Return the mean delay of the packets that arrive, in steps or seconds."""
+        weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
 
-    def text(self) -> str:
-        """Describe the law in a few words."""
+    def text(self, shares: Sequence[float] = ()) -> str:
+        """Describe the law in a few words, for the shares of the states of the link; default: equal ones."""
         constant = self.constant
         if constant is not None:
             return constant.text()
         low, high = self.wait(0).text(), self.most.text()
-        missing = 1.0 - float(np.mean([sum(row) for row in self.odds]))
+        missing = 1.0 - float(self.arriving(shares).sum())
         lost = f", {percent(missing)} lost" if self.loses else ""
         if len(self.waits) == 1:
             return f"{low}{lost}"
         how = "measured" if self.sequence else "by the state of the link" if len(self.odds) > 1 else "random"
-        mean = f"{self.mean * 1e3:.4g} ms" if self.in_seconds else f"{self.mean:.4g} steps"
+        average = self.mean(shares)
+        mean = f"{average * 1e3:.4g} ms" if self.in_seconds else f"{average:.4g} steps"
         return f"{how}, {low} to {high}, mean {mean}{lost}"
 
     def short(self) -> str:
@@ -186,7 +190,9 @@ def delay_from(name: str, given: object) -> DelayLaw:
         return given
     if isinstance(given, Mapping):
         return _of_table(name, cast("Mapping[str, object]", given))
-    if isinstance(given, list | tuple | np.ndarray) and np.ndim(cast("Any", given)):
+    listed = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and cast("Array", given).ndim > 0)
+    given = cast("object", given)
+    if listed:
         chances = cast("Sequence[object]", given)
         return _of_lists(name, range(len(chances)), chances, False)
     return _of_lists(name, [_steps(name, given, FORMS)], [1.0], False)
@@ -231,7 +237,9 @@ def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
         return _of_states(name, cast("object", value))
     if form in ("histogram", "trace"):
         if not isinstance(value, str):
-            raise ProblemError(f"{name}.{form} is {quoted(value)}; expected the name of a file in quotes")
+            raise ProblemError(
+                f"{name}.{form} is {quoted(cast('object', value))}; expected the name of a file in quotes"
+            )
         rows = _numbers(f"{name}.{form}", value, form)
         named = f"{name}.{form} {value!r}"
         return _of_histogram(named, rows) if form == "histogram" else _of_trace(named, rows)
@@ -328,8 +336,9 @@ def _of_trace(name: str, rows: Array) -> DelayLaw:
         worst = float(delays[came].min())
         raise ProblemError(f"{name} has the delay {worst:g} s; expected delays of at least 0: correct the offset of "
                            "the two computers (`taciturn delays` estimates it)")  # fmt: skip
-    waits = np.unique(delays[came])
-    places = np.where(came, np.searchsorted(waits, np.where(came, delays, waits[0])), len(waits))
+    waits: Array = np.unique(delays[came])
+    found: Array = np.where(came, delays, 0.0)
+    places = np.where(came, np.searchsorted(waits, found), len(waits))
     counts = np.bincount(places, minlength=len(waits) + 1)[:-1] / len(places)
     return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()))
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
+import numpy as np
+
 from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
@@ -182,9 +184,30 @@ class LinkLaw(Displayed):
         parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
         parts += [f"at least {number_of(self.min_interval, 'step')} between sends"] if self.min_interval > 1 else []
         parts += [] if self.max_interval is None else [f"at most {number_of(self.max_interval, 'step')} between sends"]
-        parts += [] if self.delay is None else [f"delay {self.delay.text()}"]
-        parts += [] if self.buffer is None else [f"each packet is used after {self.buffer.text()}"]
-        return "".join(f"; {part}" for part in parts)
+        return "".join(f"; {part}" for part in (*parts, *self.lateness()))
+
+    def lateness(self) -> tuple[str, ...]:
+        """Describe delay and buffer in words, as far as they are given."""
+        parts = [] if self.delay is None else [f"delay {self.delay.text(self.states)}"]
+        if self.buffer is not None:
+            late = self.late
+            lost = f", and lost if it is later ({percent(late)})" if late else ""
+            parts.append(f"a packet is used {self.buffer.text()} after it was sent{lost}")
+        return tuple(parts)
+
+    @property
+    def states(self) -> tuple[float, ...]:
+        """Share of the steps in each state of the link, one if it has no bursts."""
+        return (1.0,) if self.burst is None else tuple(self.burst.start.tolist())
+
+    @property
+    def late(self) -> float:
+        """Share of the packets that the law of delay loses, or that arrive later than the buffer."""
+        if self.delay is None:
+            return 0.0
+        found = self.delay.later_than(self.buffer or self.delay.most)
+        shares = self.states if len(found) > 1 else (1.0,)
+        return float(np.dot(found, shares))
 
     @property
     def ideal(self) -> bool:
@@ -214,7 +237,9 @@ class LinkLaw(Displayed):
 
     def short(self) -> str:
         """Describe the protocol and the losses of the link in a few words."""
-        return f"{self.protocol}, drops {percent(self.mean_loss)}{' in bursts' if self.burst else ''}"
+        played = self.played()
+        told = f"{self.protocol}, drops {percent(played.mean_loss)}{' in bursts' if played.burst else ''}"
+        return "; ".join((told, *self.lateness()))
 
 
 IDEAL_LINK = LinkLaw()

@@ -424,7 +424,7 @@ class Network(Displayed):
         else:
             losses = {
                 link: f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
-                for link, law in self.links.items()
+                for link, law in self.played().links.items()
                 if not law.ideal
             }
             if len(protocols) == 1:
@@ -434,8 +434,7 @@ class Network(Displayed):
         if self.delay:
             text += f"; {number_of(self.delay, 'step')} of delay"
         for link, law in self.links.items():
-            text += "" if law.delay is None else f"; {link} delays packets ({law.delay.text()})"
-            text += "" if law.buffer is None else f"; {link} uses them after {law.buffer.text()}"
+            text += f"; {link}: {', '.join(law.lateness())}" if law.lateness() else ""
         for node, law in self.missing.items():
             share = law.loss if isinstance(law, LossLaw) else law
             text += f"; {percent(share)} of the samples of {node} are missing"
