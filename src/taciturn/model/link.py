@@ -191,7 +191,7 @@ class LinkLaw(Displayed):
         parts = [] if self.delay is None else [f"delay {self.delay.text(self.states)}"]
         if self.buffer is not None:
             late = self.late
-            lost = f", and lost if it is later ({percent(late)})" if late else ""
+            lost = f", {percent(late)} never arrive or arrive later" if late else ""
             parts.append(f"a packet is used {self.buffer.text()} after it was sent{lost}")
         return tuple(parts)
 
