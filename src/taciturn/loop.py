@@ -63,7 +63,7 @@ from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
-from taciturn.model.transport import delayed_by
+from taciturn.model.transport import delayed_by, transport_of
 from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
@@ -98,6 +98,9 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     exact, designed = network.delivery, policy.network.played().delivery
+    source = problem.source
+    late = source is not None and source.transport != transport_of(source, policy.network)
+    delays = ", or a delay of its links," if late else ""
     alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
 
     def lacks(names: frozenset[str]) -> bool:
@@ -105,7 +108,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
+        f"the plant{delays} is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
         # set-points count from the operating point, so another one starts them elsewhere
         "the initial state is not the one of the design": started

@@ -43,11 +43,12 @@ _PREFIXES |= {name: name.lower() for name in _OWN} | {
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function", "plant.names")  # callables, and names, which change no number
-_NAMED = {  # what the message states in place of a name and the usual remedy
+_NAMED = {  # the words of the message in place of a name and the usual remedy
+    "plant.transport": ("a delay or a buffer of a link", "links without delay and buffer"),
     "links.delay": (
         "a delay that varies on a link without a buffer",
         "a constant delay, or a buffer, which uses each packet the same time after it was sent",
-    )
+    ),
 }
 _LEAVES = frozenset({str, int, float, bool, np.ndarray, type(None)})  # most of what is found
 _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties

@@ -101,7 +101,7 @@ class DelayLaw(Displayed):
         return Wait(0, found) if self.in_seconds else Wait(int(found))
 
     def lost_in(self, state: int) -> bool:
-        """Return whether the law itself loses packets in a state of the link."""
+        """Return whether some packets never arrive in a state of the link."""
         return sum(self.odds[state]) < 1.0 - SUMS
 
     @property
@@ -121,8 +121,8 @@ class DelayLaw(Displayed):
     def losses(self, buffer: Wait, loss: float, burst: LossLaw | None) -> float | LossLaw:
         """Return the losses of a link whose receiver plays packets out after ``buffer``, with its own losses.
 
-        Of a trace, packets that are lost or late form a Gilbert–Elliott chain, whose probabilities are the shares of
-        the trace: of such packets after one that came, and of packets that came after such a one.
+        The packets of a trace that are lost or late form a Gilbert–Elliott chain. Its probabilities are shares of the
+        trace: of these packets after one that came, and of packets that came after one of these.
         """
         late = self.later_than(buffer)
         if self.sequence and any(late) and burst is None:
