@@ -167,3 +167,20 @@ def test_queries_of_an_unstable_plant_take_delays() -> None:
     expected = by_hand(problem).designed()
     found = over(problem, actuator=LinkLaw(delay=STEPS)).design()
     assert found.cost_all_time == pytest.approx(expected.cost_all_time, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_losses_next_to_a_delay_are_those_of_a_loop_with_registers(name: str) -> None:
+    """Dropped and late packets: the same costs, and the same assumptions that do not hold, so no false guarantee."""
+    problem = problem_of(name)
+    lossy = replace(by_hand(problem), network=Network(links={"actuator": LinkLaw(loss=0.2)}))
+    expected, told = taciturn.evaluate(lossy, steps=2000, seed=1), lossy.close(lossy.design()).violated_assumptions
+    for law in (LinkLaw(loss=0.2, delay=STEPS), LinkLaw(delay=[0.4, 0.2, 0.2], buffer=STEPS)):
+        late = over(problem, actuator=law)
+        policy = late.design()
+        assert late.close(policy).violated_assumptions == told
+        assert policy.cost_all_time == pytest.approx(lossy.design().cost_all_time, rel=1e-9)
+        found = taciturn.evaluate(late, steps=2000, seed=1)
+        assert found.cost.value == pytest.approx(expected.cost.value, rel=1e-9)
+        assert found.cost.standard_error == pytest.approx(expected.cost.standard_error, rel=1e-6)
+        assert (found.cost_bound is None) == (expected.cost_bound is None)

@@ -551,10 +551,18 @@ class Network(Displayed):
         return replace(self, links={**self.links, **links}, stated=stated)
 
     def delayed_as(self, other: Network) -> Network:
-        """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
+        """Return a copy of the network whose links have the delays of those of another network.
+
+        A link with the losses of the other one, among them those of late packets, has its law of delay too. A link with
+        other losses, as a design assumes that does not know them, has a buffer of the same delay.
+        """
         late = {name: law for name, law in other.links.items() if law.delay is not None or law.buffer is not None}
-        same = ("delay", "buffer", "loss", "burst", "acknowledged")
-        laws = {name: {key: getattr(law, key) for key in same} for name, law in late.items() if name in self.links}
+        laws, losses = dict[str, dict[str, Any]](), ("loss", "burst", "acknowledged")
+        for name, law in ((name, law) for name, law in late.items() if name in self.links):
+            played, mine = law.played(), self.links[name]
+            alike = all(getattr(mine, key) == getattr(played, key) for key in losses)
+            kept = {key: getattr(law, key) for key in ("delay", "buffer", *losses)}
+            laws[name] = kept if alike else {"delay": None, "buffer": law.wait}
         return self.changed(laws) if laws else self
 
     @property
