@@ -401,7 +401,6 @@ def test_a_network_tells_its_delays() -> None:
     assert network.played().lost("pump") == "the loss of packets later than links.pump.buffer"
     assert network.played().losing == "the loss of packets later than links.pump.buffer"
     assert network.loss("pump") == pytest.approx(0.1)
-    assert network.delayed_as(network) == network
     assert network.played().delayed_as(network).links == network.links
     stated = parse({**TABLES, "links": {"level-1": {"delay": 2}, "pump": {"buffer": 1}}}, "x")
     assert stated.plant.transport == Transport((Wait(1),), (Wait(2), Wait(0)))
