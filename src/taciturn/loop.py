@@ -53,7 +53,7 @@ from taciturn.model.coverage import (
 )
 from taciturn.model.disturbance import padded
 from taciturn.model.expected import sensed_by
-from taciturn.model.information import check_network, unheard_acknowledgements
+from taciturn.model.information import check_network, expect_timely_acknowledgements, unheard_acknowledgements
 from taciturn.model.limits import Limits
 from taciturn.model.losses import LossLaw
 from taciturn.model.names import Names
@@ -63,7 +63,7 @@ from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
-from taciturn.model.transport import delayed_by
+from taciturn.model.transport import delayed_by, transport_of
 from taciturn.model.trigger import Form, shape_of
 from taciturn.program.all_nodes import (
     ACTING,
@@ -108,6 +108,9 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     exact, designed = network.delivery, policy.network.played().delivery
+    source = problem.source
+    late = source is not None and source.transport != transport_of(source, policy.network)
+    delays = ", or a delay of its links," if late else ""
     alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
 
     def lacks(names: frozenset[str]) -> bool:
@@ -116,7 +119,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
         # without acknowledgements, the plant of the design has the mean of a random delay
-        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT) and not lacks(LATE),
+        f"the plant{delays} is not the one of the design": not (plant.same_as(model) or lacks(DRIFT) or lacks(LATE)),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
         # set-points count from the operating point, so another one starts them elsewhere
         "the initial state is not the one of the design": started
@@ -579,6 +582,7 @@ def close(
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     instance("network", network, Network)
+    expect_timely_acknowledgements(policy, network)
     plant, network = delayed_by(plant, network), network.played()
     assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used

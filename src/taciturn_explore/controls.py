@@ -17,6 +17,8 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import Problem
 from taciturn_explore.setting import FACTOR, FACTORS, Setting, Value, is_matrix, value_at
@@ -24,7 +26,7 @@ from taciturn_new.draft import needed_parameters, suggest_value
 
 RANGE, FACTOR_RANGE = 100.0, 10.0  # ratio of the ends of a range to the value in its middle
 MOST_LOSS = 0.5
-LONGEST_DELAY = 1
+LONGEST_DELAY, SEVERAL_STEPS = 1, 5  # steps of computation, and of a link
 MORE = "More parameters"  # heading of those that the problem does not state
 PROTOCOLS = "ideal: every packet arrives; tcp: the sender learns whether a packet arrives; udp: it does not"
 NAMES = {"cost.Q": "Q, weight of the states", "cost.R": "R, weight of the inputs", "plant.W": "W, process noise",
@@ -137,9 +139,31 @@ def _links(problem: Problem) -> Iterator[Control]:
         for link, law in network.links.items() if network.protocol != "ideal" else ():
             note = f"probability that a packet of the {link} link is dropped"
             yield Control(f"network.{link}_loss", f"loss, {link}", note, "Network", "number", law.loss, 0.0, MOST_LOSS)
+    for link, law in network.links.items():
+        yield from _delays(link, law, network)
     if kind.delay and not network.own_nodes:
         yield Control("network.delay", "delay", "steps from a measurement to the input that uses it", "Network",
                       "whole", network.delay, 0, min(kind.delay, LONGEST_DELAY))  # fmt: skip
+
+
+def _delays(link: str, law: LinkLaw, network: Network) -> Iterator[Control]:
+    """Yield controls of a constant delay and of a buffer that the problem states."""
+    constant = None if law.delay is None else law.delay.constant
+    notes = {
+        "delay": "from the sending of a packet to its arrival",
+        "buffer": "from the sending of a packet to its use",
+    }
+    for name, wait in (("delay", constant), ("buffer", law.buffer)):
+        if wait is None:
+            continue
+        key, label = network.key(link, name), f"{name}, {link}"
+        if wait.seconds:
+            yield Control(f"{key}.seconds", label, f"seconds {notes[name]}", "Network", "ratio", wait.seconds,
+                          wait.seconds / FACTOR_RANGE, FACTOR_RANGE * wait.seconds)  # fmt: skip
+        else:
+            least = 0 if name == "delay" else 1
+            yield Control(key, label, f"steps {notes[name]}", "Network", "whole", wait.steps, least,
+                          max(SEVERAL_STEPS, 2 * wait.steps))  # fmt: skip
 
 
 def with_kind(setting: Setting, base: Problem, problem: Problem, name: str) -> Setting:

@@ -29,7 +29,8 @@ def network(setting: Setting, given: Designed) -> dict[str, Any]:
                 "link": link,
                 "sender": graph.sender(link),
                 "receiver": graph.receiver(link),
-                "loss": graph.links[link].mean_loss if link in graph.links else 0.0,
+                "loss": graph.loss(link) if link in graph.links else 0.0,
+                "delay": "; ".join(graph.links[link].lateness()) if link in graph.links else "",
                 **histogram(np.diff(np.flatnonzero(sent))),
             }
             for link, sent in path.sent.items()

@@ -229,6 +229,28 @@ def test_a_file_in_an_address_reads_no_file_of_this_machine(tmp_path: Path) -> N
     assert tomllib.loads(nested)
     with pytest.raises(ProblemError, match="has the key file"):
         Setting(file=nested).base()
+    plain = (Path(taciturn.__file__).parent / "problems" / "two-mass.toml").read_text(encoding="utf-8")
+    for key in ("histogram", "trace"):
+        for law in (f'{{{key} = "/etc/hostname"}}', f'{{states = [1, {{{key} = "/etc/hostname"}}]}}'):
+            with pytest.raises(ProblemError, match=f"has the key {key}, which names a file on this machine"):
+                Setting(file=f"{plain}[network]\nactuator_delay = {law}\n").base()
+        with pytest.raises(ProblemError, match="is not a key that an address may change"):
+            setting_of(f"problem=two-mass&network.actuator_delay.{key}=/etc/hostname")
+
+
+def test_delays_that_a_problem_states_have_controls() -> None:
+    """Steps or seconds, of the usual nodes or of others; a moved one changes the problem; the page states them."""
+    plain = (Path(taciturn.__file__).parent / "problems" / "two-mass-continuous.toml").read_text(encoding="utf-8")
+    setting = Setting(file=plain + "[network]\nactuator_delay = {seconds = 0.004}\nsensor_buffer = 2\n")
+    base = setting.base()
+    found = {one.key: one for one in controls_of(setting, base) if one.group == "Network"}
+    seconds, steps = found["network.actuator_delay.seconds"], found["network.sensor_buffer"]
+    assert (seconds.form, seconds.value, steps.form, steps.value, steps.low) == ("ratio", 0.004, "whole", 2, 1)
+    moved = setting.to({seconds.key: 0.01, steps.key: 1}).problem(base).network.links
+    assert (moved["actuator"].wait, moved["sensor"].wait) == ((0, 0.01), (1, 0.0))
+    assert not any("delay" in one.key for one in controls_of(Setting(name="two-mass"), taciturn.load("two-mass")))
+    links = Answers().network(setting.text)["links"]
+    assert [one["delay"] for one in links] == ["delay 4 ms"]
 
 
 @pytest.mark.parametrize("name", ["two-mass", "pid-tank", "quadruple-tank"])

@@ -83,6 +83,7 @@ def test_the_table_has_every_kind_and_every_property() -> None:
         "network.stated",  # keys for messages
         "network.missing",  # in the tables of links, which every kind with steps simulates
     }
+    keys |= {f"network.{link}_{name}" for link in ("actuator", "sensor") for name in ("delay", "buffer")}
     assert keys == set(LINKS)
     assert all(row.keys() == {*PROPERTIES, *LINKS} for row in printed().values())
 

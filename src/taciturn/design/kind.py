@@ -37,8 +37,9 @@ from taciturn.design.missing_samples import for_missing_samples
 from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.information import expect_timely_acknowledgements
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import Network
+from taciturn.model.network import TOO_LATE, Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import (
     Acknowledged,
@@ -230,9 +231,11 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
+            late = network.losing.startswith(TOO_LATE)
+            remedy = "a buffer that no delay exceeds" if late else f"remove {network.losing}"
             raise PlacementError(
                 f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
-                f"remove {network.losing} (`taciturn network FILE --loss P` drops packets of any policy kind)"
+                f"{remedy} (`taciturn network FILE --loss P` drops packets of any policy kind)"
             )
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
@@ -380,6 +383,7 @@ def _on(
     if isinstance(policy, Policy):
         # last, since the laws name nodes of this network
         found = for_missing_samples(placed(policy, network), network)
+        expect_timely_acknowledgements(found, stated)
         return replace(found, network=found.network.delayed_as(stated))
     if known.nodes != network.nodes:
         raise ProblemError(

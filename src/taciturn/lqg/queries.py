@@ -94,7 +94,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     unknown = unknown if unknown.any() else ~unknown
     block = np.ix_(unknown, unknown)
     A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
-    found = _scheduled(A, plant.B[unknown], W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
+    found = _scheduled(A, W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
     covariance = np.zeros((len(found.covariance), plant.states, plant.states))
     covariance[:, *block] = found.covariance
     return replace(found, covariance=frozen(covariance))
@@ -102,10 +102,11 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
 
 @remembered
 def _scheduled(
-    A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
+    A: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
 ) -> Schedule:
     """Return the schedule of ``schedule_queries``; every trial of a search for another parameter needs it again."""
-    plant, weights = Plant(A, B, W, C, V), Weights(P, discount)
+    # inputs move no error; those of the plant may act through registers, which are left out
+    plant, weights = Plant(A, np.eye(len(A)), W, C, V), Weights(P, discount)
     predictor, horizon = Predictor(plant), weights.horizon
     worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
     for tick in range(horizon or LONGEST):

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -91,6 +91,8 @@ def registers_of(source: Plant | ContinuousPlant, period: float, cuts: Sequence[
     """Return the registers that delays and a direct feedthrough of a plant need."""
     m, p, fed = source.inputs, len(source.C), fed_inputs(source)
     acts, older = (np.zeros(m), (0,) * p) if source.transport is None else source.transport.periods(period)
+    if acts.max(initial=0.0) + max(older, default=0) > MOST:  # before the numbers become those of registers
+        _refuse(f"more than {MOST}")
     whole, parts = np.floor(acts).astype(int), acts - np.floor(acts)
     depths = [int(d) + int(part > 0 or i in fed) for i, (d, part) in enumerate(zip(whole, parts, strict=True))]
     noises = _correlated(source.V, older)
@@ -102,10 +104,7 @@ def registers_of(source: Plant | ContinuousPlant, period: float, cuts: Sequence[
     noisy = len(inputs) + len(outputs)  # place of the first noise that is a state
     r = noisy + len(noises)
     if r > MOST:
-        raise ProblemError(
-            f"the delays need {r} registers for earlier inputs and outputs; expected at most {MOST}: shorter delays, "
-            "or a longer period"
-        )
+        _refuse(str(r))
     S, P, ahead, before = np.zeros((r, r)), np.zeros((r, m)), np.zeros((m, r)), np.zeros((m, r))
     direct = np.diag((whole == 0).astype(np.float64))
     for i, depth in enumerate(depths):
@@ -137,6 +136,13 @@ def registers_of(source: Plant | ContinuousPlant, period: float, cuts: Sequence[
     took = tuple((j, int(begins[j])) for j in old)
     late = tuple(int(d) for d in whole)
     return Registers(S, P, Gz, Gu, shown, took, V, W, inputs, outputs, tuple(noises), ages, late)
+
+
+def _refuse(registers: str) -> NoReturn:
+    raise ProblemError(
+        f"the delays of the links need {registers} registers for earlier inputs and outputs; expected at most {MOST}: "
+        "shorter delays, or a longer period"
+    )
 
 
 def _correlated(V: Array, older: Sequence[int]) -> list[int]:

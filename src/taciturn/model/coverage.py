@@ -43,6 +43,13 @@ _PREFIXES |= {name: name.lower() for name in _OWN} | {
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function", "plant.names")  # callables, and names, which change no number
+_NAMED = {  # the words of the message in place of a name and the usual remedy
+    "plant.transport": ("a delay or a buffer of a link", "links without delay and buffer"),
+    "links.delay": (
+        "a delay that varies on a link without a buffer",
+        "a constant delay, or a buffer, which uses each packet the same time after it was sent",
+    ),
+}
 _LEAVES = frozenset({str, int, float, bool, np.ndarray, type(None)})  # most of what is found
 _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties
 
@@ -136,7 +143,8 @@ class Coverage(Displayed):
 
     def sentence(self, name: str) -> str:
         """Write the error message for a property that is not supported."""
-        return f"{name} is given, which {self.refusal}; expected {self.remedy}"
+        given, remedy = _NAMED.get(name, (name, self.remedy))
+        return f"{given} is given, which {self.refusal}; expected {remedy}"
 
 
 SIMULATED = Coverage(LOOPS | LATE, "designs and simulations do not model")

@@ -25,6 +25,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
+from numbers import Integral
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -42,8 +43,11 @@ MOST_BYTES = 2**24  # of a file of delays
 MOST_PACKETS = 100_000  # of a trace
 SUMS = 1e-9  # largest excess over 1 of a sum of probabilities
 MOST_PIECES = 16  # parts of a period that random delays distinguish; those between are rounded
+MANY = 1e9  # periods of a delay, more than any loop may have
 WHOLE = 1e-9  # part of a period below which a delay is a whole number of periods
 KEYS = ("seconds", "probability", "histogram", "trace", "states")
+HEADERS: Mapping[str, tuple[str, str]] = {"histogram": ("milliseconds", "probability"), "trace": ("sent", "delay")}
+WAIT = "a whole number of steps, or a table {seconds = x}"
 FORMS = (
     "a whole number of steps, a list of probabilities of 0, 1, 2, … steps, or a table such as {seconds = 0.004}, "
     "{seconds = [0.001, 0.004], probability = [0.8, 0.2]}, {histogram = 'file.csv'}, {trace = 'file.csv'} or "
@@ -59,7 +63,7 @@ class Wait(NamedTuple):
 
     def periods(self, period: float) -> float:
         """Return the delay in periods. Delays that differ from a whole number by rounding are whole."""
-        exact = self.steps + self.seconds / period
+        exact = min(self.steps + self.seconds / period, MANY)
         return float(round(exact)) if abs(exact - round(exact)) <= WHOLE else exact
 
     def after(self, other: Wait) -> Wait:
@@ -99,7 +103,7 @@ class DelayLaw(Displayed):
         return Wait(0, found) if self.in_seconds else Wait(int(found))
 
     def lost_in(self, state: int) -> bool:
-        """Return whether the law itself loses packets in a state of the link."""
+        """Return whether some packets never arrive in a state of the link."""
         return sum(self.odds[state]) < 1.0 - SUMS
 
     @property
@@ -119,8 +123,8 @@ class DelayLaw(Displayed):
     def losses(self, buffer: Wait, loss: float, burst: LossLaw | None) -> float | LossLaw:
         """Return the losses of a link whose receiver plays packets out after ``buffer``, with its own losses.
 
-        Of a trace, packets that are lost or late form a Gilbert–Elliott chain with the share of the trace, and the
-        probability of the trace that one follows another.
+        The packets of a trace that are lost or late form a Gilbert–Elliott chain. Its probabilities are shares of the
+        trace: of these packets after one that came, and of packets that came after one of these.
         """
         late = self.later_than(buffer)
         if self.sequence and any(late) and burst is None:
@@ -128,7 +132,7 @@ class DelayLaw(Displayed):
             gone = np.array([wait == len(self.waits) or self.waits[wait] > most for wait in self.sequence])
             after = gone[1:][gone[:-1]], gone[1:][~gone[:-1]]  # of a packet after one that is gone, or that came
             stays, begins = (float(one.mean()) if one.size else 0.0 for one in after)
-            if 0.0 < begins < 1.0 and stays < 1.0:
+            if begins > 0.0 and stays < 1.0:
                 return Burst(begins, 1.0 - stays, loss, 1.0)
         if burst is None and len(set(late)) == 1:
             return 1.0 - (1.0 - loss) * (1.0 - late[0])
@@ -143,16 +147,19 @@ class DelayLaw(Displayed):
         """The largest delay of a packet that arrives."""
         return self.wait(-1)
 
-    @property
-    def mean(self) -> float:
-        """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
-        weights = np.mean(np.array(self.odds), axis=0)
+    def arriving(self, shares: Sequence[float] = ()) -> Array:
+        """Return the probability of each delay, for the shares of the states of the link; default: equal ones."""
+        return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
+
+    def mean(self, shares: Sequence[float] = ()) -> float:
+        """Return the mean delay of the packets that arrive, in steps or seconds."""
+        weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
 
     @property
     def expected(self) -> Wait:
         """The mean delay of the packets that arrive, as a constant delay: seconds, or the nearest number of steps."""
-        return Wait(0, self.mean) if self.in_seconds else Wait(round(self.mean))
+        return Wait(0, self.mean()) if self.in_seconds else Wait(round(self.mean()))
 
     def in_periods(self, period: float) -> DelayLaw:
         """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
@@ -173,16 +180,19 @@ class DelayLaw(Displayed):
             sequence=tuple(renamed[one] for one in self.sequence),
         )  # fmt: skip
 
-    def text(self) -> str:
-        """Describe the law in a few words."""
+    def text(self, shares: Sequence[float] = ()) -> str:
+        """Describe the law in a few words, for the shares of the states of the link; default: equal ones."""
         constant = self.constant
         if constant is not None:
             return constant.text()
         low, high = self.wait(0).text(), self.most.text()
-        missing = 1.0 - float(np.mean([sum(row) for row in self.odds]))
+        missing = 1.0 - float(self.arriving(shares).sum())
         lost = f", {percent(missing)} lost" if self.loses else ""
+        if len(self.waits) == 1:
+            return f"{low}{lost}"
         how = "measured" if self.sequence else "by the state of the link" if len(self.odds) > 1 else "random"
-        mean = f"{self.mean * 1e3:.4g} ms" if self.in_seconds else f"{self.mean:.4g} steps"
+        average = self.mean(shares)
+        mean = f"{average * 1e3:.4g} ms" if self.in_seconds else f"{average:.4g} steps"
         return f"{how}, {low} to {high}, mean {mean}{lost}"
 
     def short(self) -> str:
@@ -212,10 +222,12 @@ def delay_from(name: str, given: object) -> DelayLaw:
         return given
     if isinstance(given, Mapping):
         return _of_table(name, cast("Mapping[str, object]", given))
-    if isinstance(given, list | tuple):
+    listed = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and cast("Array", given).ndim > 0)
+    given = cast("object", given)
+    if listed:
         chances = cast("Sequence[object]", given)
         return _of_lists(name, range(len(chances)), chances, False)
-    return _of_lists(name, [_steps(name, given)], [1.0], False)
+    return _of_lists(name, [_steps(name, given, FORMS)], [1.0], False)
 
 
 def wait_from(name: str, given: object) -> Wait:
@@ -225,17 +237,20 @@ def wait_from(name: str, given: object) -> Wait:
     if isinstance(given, Mapping):
         table = cast("Mapping[str, object]", given)
         if set(table) != {"seconds"}:
-            raise ProblemError(f"{name} is {quoted(table)}; expected a whole number of steps, or {{seconds = x}}")
+            raise ProblemError(f"{name} is {quoted(table)}; expected {WAIT}")
         return Wait(0, number(f"{name}.seconds", table["seconds"], 0.0, closed=True))
-    return Wait(_steps(name, given))
+    return Wait(_steps(name, given, WAIT))
 
 
-def _steps(name: str, given: object) -> int:
-    if isinstance(given, bool) or not isinstance(given, int | float) or given != given // 1 or given < 0:
-        raise ProblemError(f"{name} is {quoted(given)}; expected {FORMS if 'delay' in name else 'a number of steps'}")
-    if given > LONGEST:
-        raise ProblemError(f"{name} is {given:g} steps; expected at most {LONGEST}")
-    return int(given)
+def _steps(name: str, given: object, expected: str) -> int:
+    whole = isinstance(given, Integral) or (isinstance(given, float) and given.is_integer())
+    if isinstance(given, bool) or not whole or cast("Any", given) < 0:
+        shown = f"{given:g}" if isinstance(given, float) else quoted(given)
+        raise ProblemError(f"{name} is {shown}; expected {expected}")
+    steps = int(cast("Any", given))
+    if steps > LONGEST:
+        raise ProblemError(f"{name} is {quoted(given)} steps; expected at most {LONGEST}")
+    return steps
 
 
 def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
@@ -244,7 +259,7 @@ def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
         raise ProblemError(f"{name}.{key} is not a known key; expected one of {', '.join(KEYS)}")
     stated = [key for key in KEYS if key in table and key != "probability"]
     if len(stated) != 1:
-        raise ProblemError(f"{name} has the keys {', '.join(table) or 'none'}; expected {FORMS}")
+        raise ProblemError(f"{name} has {_keys_text(table)}; expected {FORMS}")
     form, value = stated[0], table[stated[0]]
     if "probability" in table and not (form == "seconds" and isinstance(value, list | tuple)):
         raise ProblemError(
@@ -256,16 +271,23 @@ def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
         if not isinstance(value, str):
             raise ProblemError(f"{name}.{form} is {quoted(table[form])}; expected the name of a file in quotes")
         rows = _numbers(f"{name}.{form}", value, form)
-        return _of_histogram(f"{name}.{form}", rows) if form == "histogram" else _of_trace(f"{name}.{form}", rows)
+        named = f"{name}.{form} {value!r}"
+        return _of_histogram(named, rows) if form == "histogram" else _of_trace(named, rows)
     if isinstance(value, list | tuple):
         waits, chances = cast("Sequence[object]", value), _listed(table.get("probability"))
         if not chances:
             raise ProblemError(
-                f"{name}.seconds is a list, and {name}.probability is {quoted(table.get('probability'))}; expected a "
-                "list of as many probabilities"
+                f"{name}.seconds is a list, and {name}.probability is "
+                f"{quoted(table['probability']) if 'probability' in table else 'missing'}; expected a list of as many "
+                "probabilities"
             )
         return _of_lists(name, waits, chances, True)
     return _of_lists(name, [value], [1.0], True)
+
+
+def _keys_text(table: Mapping[str, object]) -> str:
+    """Write the keys of a table as text."""
+    return f"the key{'s' * (len(table) > 1)} {' and '.join(table)}" if table else "no keys"
 
 
 def _listed(given: object) -> Sequence[object]:
@@ -276,7 +298,7 @@ def _listed(given: object) -> Sequence[object]:
 def _of_states(name: str, given: object) -> DelayLaw:
     """Return the law of a link whose states have a law each."""
     listed = _listed(given)
-    if not listed:
+    if len(listed) < 2:
         raise ProblemError(f"{name}.states is {quoted(given)}; expected a list with a law for each state of the bursts")
     laws = [delay_from(f"{name}.states[{i}]", one) for i, one in enumerate(listed)]
     for i, law in enumerate(laws):
@@ -294,28 +316,43 @@ def _of_lists(name: str, waits: Sequence[object], chances: Sequence[object], sec
     """Return the law of a list of delays and of their probabilities; the rest is lost."""
     if len(waits) != len(chances):
         raise ProblemError(
-            f"{name} has {number_of(len(waits), 'delay')}, and the probabilities are {len(chances)}; expected as many"
+            f"{name} has {number_of(len(waits), 'delay')}, and {name}.probability has "
+            f"{number_of(len(chances), 'entry')}; expected a probability for each delay"
         )
     most = inf if seconds else float(LONGEST)
-    given = [number(f"{name}.seconds" if seconds else name, one, 0.0, most, closed=True) for one in waits]
-    share = [number(f"{name}: probability", one, 0.0, 1.0, closed=True) for one in chances]
+    given = [number(f"{name}.seconds" if seconds else f"the delay of {name}", one, 0.0, most, closed=True)
+             for one in waits]  # fmt: skip
+    share = [number(f"{name}.probability" if seconds else f"{name}[{i}]", one, 0.0, 1.0, closed=True)
+             for i, one in enumerate(chances)]  # fmt: skip
+    return _of_shares(name, given, share, seconds)
+
+
+def _of_shares(name: str, waits: Sequence[float], chances: Sequence[float], seconds: bool) -> DelayLaw:
+    """Return the law of delays with their probabilities, which are in range."""
     together: dict[float, float] = {}
-    for wait, p in zip(given, share, strict=True):
+    for wait, p in zip(waits, chances, strict=True):
         if p > 0.0:
             together[wait] = together.get(wait, 0.0) + p
     total = sum(together.values())
     if total > 1.0 + SUMS or not together:
-        raise ProblemError(f"{name} has probabilities with the sum {total:.10g}; expected a sum above 0 and at most 1")
-    waits = sorted(together)
-    row = tuple(together[wait] / max(total, 1.0) for wait in waits)
-    return DelayLaw(tuple(waits), ((1.0,) if len(row) == 1 and row[0] > 1.0 - SUMS else row,), seconds)
+        remedy = ": divide each by the sum, if they are rounded or counted" if total > 1.0 else ""
+        raise ProblemError(
+            f"{name} has probabilities with the sum {total:.10g}; expected a sum above 0 and at most 1{remedy}"
+        )
+    possible = sorted(together)
+    row = tuple(together[wait] / max(total, 1.0) for wait in possible)
+    return DelayLaw(tuple(possible), ((1.0,) if len(row) == 1 and row[0] > 1.0 - SUMS else row,), seconds)
 
 
 def _of_histogram(name: str, rows: Array) -> DelayLaw:
     """Return the law of a histogram: rows of milliseconds and probability."""
-    if np.isnan(rows).any():
-        raise ProblemError(f"{name} has an empty entry; expected two numbers in each row: milliseconds, probability")
-    return _of_lists(name, (rows[:, 0] / 1e3).tolist(), rows[:, 1].tolist(), True)
+    waits, chances = rows[:, 0], rows[:, 1]
+    if (waits < 0.0).any():
+        raise ProblemError(f"{name} has the delay {waits.min():g} ms; expected delays of at least 0")
+    if (chances < 0.0).any() or (chances > 1.0).any():
+        worst = chances[np.argmax(np.abs(chances - 0.5))]
+        raise ProblemError(f"{name} has the probability {worst:g}; expected probabilities from 0 to 1")
+    return _of_shares(name, (waits / 1e3).tolist(), chances.tolist(), True)
 
 
 def _of_trace(name: str, rows: Array) -> DelayLaw:
@@ -329,8 +366,9 @@ def _of_trace(name: str, rows: Array) -> DelayLaw:
         worst = float(delays[came].min())
         raise ProblemError(f"{name} has the delay {worst:g} s; expected delays of at least 0: correct the offset of "
                            "the two computers (`taciturn delays` estimates it)")  # fmt: skip
-    waits = np.unique(delays[came])
-    places = np.where(came, np.searchsorted(waits, np.where(came, delays, waits[0])), len(waits))
+    waits: Array = np.unique(delays[came])
+    found: Array = np.where(came, delays, 0.0)
+    places = np.where(came, np.searchsorted(waits, found), len(waits))
     counts = np.bincount(places, minlength=len(waits) + 1)[:-1] / len(places)
     block = max(1.0, round(len(places) ** (1 / 3)))  # the order at which bias and variance of a mean balance
     return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()), block)
@@ -338,33 +376,33 @@ def _of_trace(name: str, rows: Array) -> DelayLaw:
 
 def _numbers(name: str, path: str, form: str) -> Array:
     """Return the two columns of a file of delays, with NaN for an empty entry of a trace."""
-    header = ("sent", "delay") if form == "trace" else ("milliseconds", "probability")
+    header = HEADERS[form]
+    empty = ", in seconds, and no delay of a packet that is lost" if form == "trace" else ""
     try:
-        return _columns(read_text(Path(path), MOST_BYTES), header, form == "trace")
-    except (OSError, ValueError) as error:
+        return _columns(read_text(Path(path), MOST_BYTES), form)
+    except (OSError, ValueError, csv.Error) as error:
         raise ProblemError(
             f"{name} {path!r} cannot be read ({why_unreadable(error)}); expected the columns {' and '.join(header)}, "
-            f"separated by commas{backslash_text(path)}"
+            f"separated by commas{empty}{backslash_text(path)}"
         ) from None
 
 
-def _columns(text: str, header: Sequence[str], gaps: bool) -> Array:
-    """Return the columns of that header of a text with commas, or its first two columns without a header."""
+def _columns(text: str, form: str) -> Array:
+    """Return the columns of a text with commas that its header names, or its first two columns without a header."""
     found, places = list[list[float]](), (0, 1)
     for line, entries in enumerate(csv.reader(io.StringIO(text)), start=1):
         cells = [entry.strip() for entry in entries]
         if not any(cells) or cells[0].startswith("#"):
             continue
-        if not found and not _is_number(cells[0]):
-            named = {cell.lower(): i for i, cell in enumerate(cells)}
-            places = tuple(named.get(one, i) for i, one in enumerate(header))
+        if not found and not any(map(_is_number, cells)):
+            places = _places(cells, form, line)
             continue
         if len(found) >= MOST_PACKETS:
             raise ValueError(f"it has more than {MOST_PACKETS:,} rows")
         row: list[float] = []
         for column in places:
             cell = cells[column] if column < len(cells) else ""
-            if gaps and column == places[1] and not cell:
+            if form == "trace" and column == places[1] and not cell and len(cells) > 1:
                 row.append(np.nan)
                 continue
             if not _is_number(cell):
@@ -374,6 +412,17 @@ def _columns(text: str, header: Sequence[str], gaps: bool) -> Array:
     if not found:
         raise ValueError("it has no rows of numbers")
     return np.array(found)
+
+
+def _places(cells: Sequence[str], form: str, line: int) -> tuple[int, int]:
+    """Return the places of the two columns by a header. A header with none of their names means the first two."""
+    named = {cell.lower(): i for i, cell in enumerate(cells)}
+    held = [name for name in HEADERS[form] if name in named]
+    others = [name for one in HEADERS.values() for name in one if name in named and name not in HEADERS[form]]
+    if len(cells) < 2 or len(held) == 1 or (others and not held):
+        raise ValueError(f"line {line} is {quoted(','.join(cells))}")
+    first, second = (named[name] for name in HEADERS[form]) if held else (0, 1)
+    return first, second
 
 
 def _is_number(cell: str) -> bool:

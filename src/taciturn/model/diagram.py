@@ -94,13 +94,19 @@ class Link(Displayed):
     @property
     def lost(self) -> str:
         """How many packets the link drops, in words; empty if every packet arrives."""
-        bursts = ", in bursts" if self.law.burst is not None else ""
-        return f"drops {percent(self.law.mean_loss)}{bursts}" if self.law.mean_loss else ""
+        law = self.law.played()
+        bursts = ", in bursts" if law.burst is not None else ""
+        return f"drops {percent(law.mean_loss)}{bursts}" if law.mean_loss else ""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """When the link sends a packet, in words, and a note if the receiver uses the packet only in the next step."""
         return (self.rule.sentence, *(("used in the next step",) if self.later else ()))
+
+    @property
+    def lateness(self) -> str:
+        """After what time a packet is used, in words; empty if it is used at once or the time varies."""
+        return f"used after {self.law.wait.text()}" if any(self.law.wait) else ""
 
     def document(self) -> dict[str, Any]:
         """Write the link as a dictionary for JSON."""
@@ -121,6 +127,7 @@ class Link(Displayed):
             "length": len(self.pattern) or None,
             "repeats_from": self.repeats_from if self.pattern else None,
             "acknowledged": self.acknowledged,
+            "delay": "; ".join(self.law.lateness()) or None,
         }
 
 
@@ -209,7 +216,14 @@ class Diagram(Displayed):
     def _box(self, place: Place) -> Box:
         """Return a place with its wires as it is drawn."""
         wires = [
-            Wire(link.name, link.packet, link.notes, link.lost, link.acknowledged, self.inwards(link))
+            Wire(
+                link.name,
+                link.packet,
+                (*link.notes, *filter(None, [link.lateness])),
+                link.lost,
+                link.acknowledged,
+                self.inwards(link),
+            )
             for link in (() if place is self.hub else self.wires(place))
         ]
         return Box(place.title, place.tasks, place.measures > 0, place.applies > 0, wires)
@@ -375,7 +389,7 @@ class _Columns:
         return _wrapped(self._ascii(f"{link.name}: {link.packet}"), width)
 
     def _notes(self, link: Link, width: int) -> list[str]:
-        notes = (*link.notes, *([link.lost] if link.lost else []))
+        notes = (*link.notes, *filter(None, (link.lateness, link.lost)))
         return [line for note in notes for line in _wrapped(self._ascii(note), width)]
 
     def _drawn(self, link: Link) -> list[str]:

@@ -24,7 +24,7 @@ import numpy as np
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
 from taciturn.model.coverage import INTERVALS, LATE, STEPS, TRACKING, Coverage
-from taciturn.model.network import PROTOCOL, Network
+from taciturn.model.network import IDEAL_LINK, PROTOCOL, TOO_LATE, Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import Policy, at_rest
 from taciturn.model.steps import (
@@ -88,7 +88,7 @@ def check_network(policy: Policy, network: Network) -> None:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
                 f"{stated[0]} is given, but no node of the policy {policy.kind} receives a packet on the {link} link; "
-                f"expected properties of {others or 'no link'} only: remove {stated[0]}"
+                f"expected properties of {others or 'no link'} only: remove {stated[0].removeprefix(TOO_LATE)}"
             )
 
 
@@ -145,6 +145,22 @@ def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
 def _conditions(policy: Policy) -> list[Condition | None]:
     steps = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     return steps + [location.on for location in policy.locations]
+
+
+def expect_timely_acknowledgements(policy: Policy, network: Network) -> None:
+    """Raise an error if a sender needs acknowledgements before its next step, and packets arrive only after it."""
+    for link in {on.link for on in _conditions(policy) if isinstance(on, Acknowledged)}:
+        law = network.links.get(link, IDEAL_LINK)
+        if law.wait.periods(policy.tick) >= 1.0 and law.played().mean_loss > 0.0:
+            told, late = (
+                network.key(link, "acknowledged"),
+                network.key(link, "delay" if law.buffer is None else "buffer"),
+            )
+            raise ProblemError(
+                f"{late} is {law.wait.text()}, and the policy {policy.kind} needs acknowledgements of the {link} link "
+                f"before the next step ({told}), when no packet has arrived; expected a delay below one period, or no "
+                "acknowledgements"
+            )
 
 
 def check_information(policy: Policy, network: Network) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
+import numpy as np
+
 from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
@@ -66,8 +68,8 @@ class LinkLaw(Displayed):
     battery: float | None = None
     min_interval: int = 1
     max_interval: int | None = None
-    delay: DelayLaw | None = field(default=None, metadata=stated_as(float | list[float] | dict[str, Any] | None))
-    buffer: Wait | None = field(default=None, metadata=stated_as(int | dict[str, Any] | None))
+    delay: DelayLaw | None = field(default=None, metadata=stated_as(Any))  # checked below, with all its forms
+    buffer: Wait | None = field(default=None, metadata=stated_as(Any))
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -122,6 +124,8 @@ class LinkLaw(Displayed):
             )
         buffer = None if self.buffer is None else wait_from("buffer", self.buffer)
         if buffer is not None and law is not None:
+            if not any(buffer):
+                raise ProblemError("buffer is 0, and packets are delayed; expected a buffer above 0, or no buffer")
             if law.in_seconds != (buffer.steps == 0 and buffer.seconds > 0):
                 raise ProblemError(
                     f"buffer is {buffer.text()}, and delay is {law.text()}; expected both in steps or both in seconds"
@@ -133,8 +137,6 @@ class LinkLaw(Displayed):
                 )
         object.__setattr__(self, "delay", law)
         object.__setattr__(self, "buffer", buffer if buffer is not None and any(buffer) else None)
-        if buffer is not None and not any(buffer) and law is not None:
-            raise ProblemError("buffer is 0, and packets are delayed; expected a buffer above 0, or no buffer")
 
     @property
     def _drops(self) -> bool:
@@ -158,9 +160,9 @@ class LinkLaw(Displayed):
     def played(self) -> LinkLaw:
         """Return the link without its constant delay. A packet that arrives later than the buffer counts as lost.
 
-        A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link loses packets
-        and acknowledges those that arrive, a sender learns only after the delay which packet was lost, so the delay
-        remains one of the link, with a single value.
+        A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link loses
+        packets and acknowledges those that arrive, a sender learns only after the delay which packet was lost, so the
+        delay remains one of the link, with a single value.
         """
         law, buffer, after = self.delay, self.buffer, self._used_after
         if after is None:
@@ -193,9 +195,30 @@ class LinkLaw(Displayed):
         parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
         parts += [f"at least {number_of(self.min_interval, 'step')} between sends"] if self.min_interval > 1 else []
         parts += [] if self.max_interval is None else [f"at most {number_of(self.max_interval, 'step')} between sends"]
-        parts += [] if self.delay is None else [f"delay {self.delay.text()}"]
-        parts += [] if self.buffer is None else [f"each packet is used after {self.buffer.text()}"]
-        return "".join(f"; {part}" for part in parts)
+        return "".join(f"; {part}" for part in (*parts, *self.lateness()))
+
+    def lateness(self) -> tuple[str, ...]:
+        """Describe delay and buffer in words, as far as they are given."""
+        parts = [] if self.delay is None else [f"delay {self.delay.text(self.states)}"]
+        if self.buffer is not None:
+            late = self.late
+            lost = f", {percent(late)} never arrive or arrive later" if late else ""
+            parts.append(f"a packet is used {self.buffer.text()} after it was sent{lost}")
+        return tuple(parts)
+
+    @property
+    def states(self) -> tuple[float, ...]:
+        """Share of the steps in each state of the link, one if it has no bursts."""
+        return (1.0,) if self.burst is None else tuple(self.burst.start.tolist())
+
+    @property
+    def late(self) -> float:
+        """Share of the packets that the law of delay loses, or that arrive later than the buffer."""
+        if self.delay is None:
+            return 0.0
+        found = self.delay.later_than(self.buffer or self.delay.most)
+        shares = self.states if len(found) > 1 else (1.0,)
+        return float(np.dot(found, shares))
 
     @property
     def ideal(self) -> bool:
@@ -225,7 +248,9 @@ class LinkLaw(Displayed):
 
     def short(self) -> str:
         """Describe the protocol and the losses of the link in a few words."""
-        return f"{self.protocol}, drops {percent(self.mean_loss)}{' in bursts' if self.burst else ''}"
+        played = self.played()
+        told = f"{self.protocol}, drops {percent(played.mean_loss)}{' in bursts' if played.burst else ''}"
+        return "; ".join((told, *self.lateness()))
 
 
 IDEAL_LINK = LinkLaw()

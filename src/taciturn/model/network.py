@@ -142,10 +142,11 @@ USUAL: Mapping[str, NodeRole] = {
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 PROTOCOL = "network.protocol"
+TOO_LATE = "the loss of packets later than "
 SHORT: Mapping[tuple[str, str], str] = {
     (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
     for link in ("sensor", "actuator")
-    for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload", "delay", "buffer")
+    for name in ("loss", "burst", "range", "energy", "battery", "delay", "buffer", "acknowledged", "payload")
 }
 """The keys of the table [network], which states properties of the links between the usual nodes."""
 RESERVED = PLANT, SETPOINT  # links that are not those of nodes
@@ -424,7 +425,7 @@ class Network(Displayed):
         else:
             losses = {
                 link: f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
-                for link, law in self.links.items()
+                for link, law in self.played().links.items()
                 if not law.ideal
             }
             if len(protocols) == 1:
@@ -434,8 +435,7 @@ class Network(Displayed):
         if self.delay:
             text += f"; {number_of(self.delay, 'step')} of delay"
         for link, law in self.links.items():
-            text += "" if law.delay is None else f"; {link} delays packets ({law.delay.text()})"
-            text += "" if law.buffer is None else f"; {link} uses them after {law.buffer.text()}"
+            text += f"; {link}: {', '.join(law.lateness())}" if law.lateness() else ""
         for node, law in self.missing.items():
             share = law.loss if isinstance(law, LossLaw) else law
             text += f"; {percent(share)} of the samples of {node} are missing"
@@ -541,13 +541,19 @@ class Network(Displayed):
         return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
 
     def played(self) -> Network:
-        """Return a copy of the network without constant delays, which the plant of a design shows instead."""
+        """Return a copy of the network without constant delays, which the plant of a design shows instead.
+
+        Losses that are only those of late packets have the name of the buffer in messages.
+        """
         late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
         if not late:
             return self
-        played = {name: law.played() for name, law in late.items()}
-        buffers = {(name, "loss"): self.key(name, "buffer") for name, law in late.items() if law.buffer is not None}
-        return replace(self, links={**self.links, **played}, stated={**self.stated, **buffers})
+        stated, links = dict(self.stated), {name: law.played() for name, law in late.items()}
+        for name, law in late.items():
+            if law.loss == 0.0 and law.burst is None and links[name].mean_loss > 0.0:
+                told = f"{TOO_LATE}{self.key(name, 'buffer')}"
+                stated |= {(name, key): told for key in ("loss", "burst", "acknowledged")}
+        return replace(self, links={**self.links, **links}, stated=stated)
 
     def random_delay(self, link: str, period: float) -> DelayLaw | None:
         """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
@@ -566,10 +572,18 @@ class Network(Displayed):
         return tuple(sorted(parts | {0.0})) if parts - {0.0} else ()
 
     def delayed_as(self, other: Network) -> Network:
-        """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
+        """Return a copy of the network whose links have the delays of those of another network.
+
+        A link with the losses of the other one, among them those of late packets, has its law of delay too. A link with
+        other losses, as a design assumes that does not know them, has a buffer of the same delay.
+        """
         late = {name: law for name, law in other.links.items() if law.delay is not None or law.buffer is not None}
-        same = ("delay", "buffer", "loss", "burst", "acknowledged")
-        laws = {name: {key: getattr(law, key) for key in same} for name, law in late.items() if name in self.links}
+        laws, losses = dict[str, dict[str, Any]](), ("loss", "burst", "acknowledged")
+        for name, law in ((name, law) for name, law in late.items() if name in self.links):
+            played, mine = law.played(), self.links[name]
+            alike = all(getattr(mine, key) == getattr(played, key) for key in losses)
+            kept = {key: getattr(law, key) for key in ("delay", "buffer", *losses)}
+            laws[name] = kept if alike else {"delay": None, "buffer": law.wait}
         return self.changed(laws) if laws else self
 
     @property

@@ -270,7 +270,7 @@ class Problem(Displayed):
         policy = kind.make(self.plant, self.cost, self.network, {**used, **parameters})
         _expect_packets(policy, self.network)
         if isinstance(policy, Policy):
-            check_network(policy, self.network)
+            check_network(policy, self.network.played())
         else:
             given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
             given |= {"[[disturbance]] with a load": bool(self.plant.loads)}

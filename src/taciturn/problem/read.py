@@ -299,15 +299,22 @@ def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return {**table, "file": str((folder / path).absolute())} if isinstance(path, str) else dict(table)
 
 
+FILES = ("histogram", "trace")  # keys of laws of delay that name a file
+
+
 def _with_delays_located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Convert the relative paths of files of delays, in [links.NAME] or [network], to absolute ones."""
     found = dict(table)
     for key, value in found.items():
-        if isinstance(value, Mapping):
-            files = cast("Mapping[str, Any]", value)
-            named = {form: files[form] for form in ("histogram", "trace") if isinstance(files.get(form), str)}
-            located = {form: str((folder / path).absolute()) for form, path in named.items()}
-            found[key] = {**_with_delays_located(files, folder), **located}
+        if key in FILES and isinstance(value, str):
+            found[key] = str((folder / value).absolute())
+        elif isinstance(value, Mapping):
+            found[key] = _with_delays_located(cast("Mapping[str, Any]", value), folder)
+        elif isinstance(value, list):  # of the laws of several states
+            listed = cast("list[Any]", value)
+            tables = [cast("Mapping[str, Any]", one) if isinstance(one, Mapping) else None for one in listed]
+            pairs = zip(listed, tables, strict=True)
+            found[key] = [one if law is None else _with_delays_located(law, folder) for one, law in pairs]
     return found
 
 

@@ -295,10 +295,10 @@ class NetworkTable(Displayed):
     actuator_loss: float = 0.0
     sensor_loss: float = 0.0
     delay: int = 0
-    actuator_delay: float | list[float] | dict[str, Any] | None = None
-    sensor_delay: float | list[float] | dict[str, Any] | None = None
-    actuator_buffer: int | dict[str, Any] | None = None
-    sensor_buffer: int | dict[str, Any] | None = None
+    actuator_delay: Any = None  # checked by the link, with all its forms
+    sensor_delay: Any = None
+    actuator_buffer: Any = None
+    sensor_buffer: Any = None
     actuator_burst: dict[str, Any] | None = None
     sensor_burst: dict[str, Any] | None = None
     payload: str = "float64"

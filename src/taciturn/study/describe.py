@@ -32,6 +32,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
 from taciturn.model.estimate import Estimate, rounded
+from taciturn.model.link import LinkLaw
 from taciturn.model.load import Load
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
@@ -305,14 +306,37 @@ def _rule_lines(rule: Rule) -> Lines:
     return [*(("", told) for told in rule.explained), *matrices]
 
 
+def _link_document(law: LinkLaw) -> dict[str, Any]:
+    """Return a link as a JSON document, without the packets of a trace."""
+    delay, buffer = law.delay, law.buffer
+    stated = None if delay is None else {"waits": delay.waits, "odds": delay.odds, "in_seconds": delay.in_seconds}
+    plain = asdict(replace(law, delay=None, buffer=None))
+    return {**plain, "delay": stated, "buffer": None if buffer is None else buffer._asdict()}
+
+
+def _delay_document(law: LinkLaw) -> dict[str, Any]:
+    """Return the law of delay of a link and its buffer in words, and as numbers in steps or seconds."""
+    delay, buffer = law.delay, law.buffer
+    seconds = delay.in_seconds if delay is not None else buffer is not None and buffer.seconds > 0
+    waits = {"largest": None if delay is None else delay.most, "buffer": buffer}
+    return {
+        "text": "; ".join(law.lateness()),
+        "unit": "seconds" if seconds else "steps",
+        "mean": None if delay is None else delay.mean(law.states),
+        **{key: one and (one.seconds if seconds else one.steps) for key, one in waits.items()},
+        "lost": law.late,
+    }
+
+
 def _network_document(network: Network) -> dict[str, Any]:
     return {
         "protocol": network.protocol,
         "delay": network.delay,
         "payload": network.payload,
         "losses": {link: network.loss(link) for link in network.links},
+        "delays": {link: _delay_document(law) for link, law in network.links.items() if law.lateness()},
         "nodes": {name: vars(role) for name, role in network.nodes.items()},
-        "links": {link: asdict(law) for link, law in network.links.items()},
+        "links": {link: _link_document(law) for link, law in network.links.items()},
         "missing": {
             node: asdict(cast("Any", law)) if isinstance(law, LossLaw) else law for node, law in network.missing.items()
         },

@@ -37,7 +37,8 @@ export function createNetwork() {
           ...pair("rate", rate && `${rate.text} per ${per}`),
           ...pair("price", rate && rate.price !== 1 ? String(rate.price) : null),
           ...pair("power", rate && rate.power), ...pair("battery", rate && rate.life),
-          ...pair("dropped", one.loss ? `${(100 * one.loss).toFixed(1)} %` : null)),
+          ...pair("dropped", one.loss ? `${(100 * one.loss).toFixed(1)} %` : null),
+          ...pair("timing", one.delay || null)),
         html("figure", {}, histogram(one), caption(last, rate && rate.apart)));
     }));
   }

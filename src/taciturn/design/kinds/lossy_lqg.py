@@ -18,7 +18,7 @@ from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.errors import ProblemError
+from taciturn.errors import PlacementError, ProblemError
 from taciturn.lqg.critical_losses import Channel, MeanSquare
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (
@@ -182,6 +182,11 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
         raise ProblemError(
             f"cost.discount is {cost.discount:g}, which the policy kind lossy-lqg does not use; expected an average "
             "cost or a finite horizon"
+        )
+    if plant.transport is not None:
+        raise PlacementError(
+            "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
+            "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
         )
     return discretise(plant, cost, None).plant
 
