@@ -12,7 +12,10 @@ from counts import few
 from systems import make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant
-from taciturn.design import distributed, excess
+from taciturn.design import distributed, excess, lossy_lqg
+from taciturn.errors import ProblemError
+from taciturn.loop import close
+from taciturn.model.delay import Wait
 from taciturn.model.network import LinkLaw, NodeRole
 
 Array = np.ndarray
@@ -205,3 +208,27 @@ def test_the_reference_costs_of_a_part_of_a_period() -> None:
             law = LinkLaw(delay={"seconds": seconds})  # type: ignore[arg-type]
             policy = excess(plant, cost, theta=0.1, period=0.3, network=Network(links={link: law}))
             assert policy.cost_all_time == pytest.approx(wanted, abs=6e-10)
+
+
+@pytest.mark.parametrize("late", [{"delay": 1, "loss": 0.1}, {"delay": [0.7, 0.2, 0.1], "buffer": 1}])
+def test_a_loss_that_a_design_ignores_is_simulated_on_a_late_link_too(late: dict[str, object]) -> None:
+    """Without acknowledgement, ``excess`` is designed for a link without losses; its loop has them."""
+    plant, cost, _ = drawn(0, parts=False)
+    network = Network(links={"actuator": LinkLaw(**late, acknowledged=False)})  # type: ignore[arg-type]
+    policy = excess(plant, cost, theta=0.3, network=network)
+    assert policy.network.loss("actuator") == 0.0
+    assert policy.network.links["actuator"].wait == Wait(1)
+    loop = close(plant, policy, network, cost)
+    assert loop.violated_assumptions == ("the network is not the one of the design",)
+
+
+def test_what_does_not_model_a_constant_delay_refuses_it_by_name() -> None:
+    """The stage cost of outputs and inputs of the same step, and gains for inputs that are zero in silence."""
+    network = Network(links={"actuator": LinkLaw(delay=2)})  # type: ignore[arg-type]
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
+    with pytest.raises(
+        ProblemError, match=r"^a link delays its packets \(input 1 2 steps late\), which the policy kind"
+    ):
+        lossy_lqg(plant, cost, price=0.1, network=network)
+    with pytest.raises(ProblemError, match=r"^rule = 'relative', but links delay their packets \(input 1 2 steps late"):
+        distributed(plant, cost, theta=0.1, guarantee="every path", rule="relative", network=network)

@@ -543,10 +543,19 @@ class Network(Displayed):
         )
 
     def delayed_as(self, other: Network) -> Network:
-        """Return a copy of the network whose links have the delays, and the losses, of those of another network."""
+        """Return a copy of the network whose links have the delays of those of another network.
+
+        A link that loses other packets than the other one, as of a design that ignores losses, keeps its losses.
+        """
         late = {name: law for name, law in other.links.items() if law.delay is not None or law.buffer is not None}
-        same = ("delay", "buffer", "loss", "burst", "acknowledged")
-        laws = {name: {key: getattr(law, key) for key in same} for name, law in late.items() if name in self.links}
+        lost = ("loss", "burst", "acknowledged")
+        laws: dict[str, dict[str, Any]] = {}
+        for name, law in late.items():
+            if name in self.links:
+                known, played = self.links[name], law.played()
+                alike = all(getattr(known, key) == getattr(played, key) for key in lost)
+                stated = {key: getattr(law, key) for key in ("delay", "buffer", *lost)}
+                laws[name] = stated if alike or not any(law.wait) else {"buffer": law.wait}
         return self.changed(laws) if laws else self
 
     @property
