@@ -284,7 +284,7 @@ def kept_on_every_path(
         raise SkippedError("no bound on every path")
     try:
         tables = plain.in_plain_form(tables)
-        model = resolved(tables, plain.model_of(tables, folder))
+        model = resolved(tables, plain.model_of(tables, folder), folder)
         nodes = nodes_of(tables, len(model.C), model.m)
         text = promised(model, *every_path_policy(tables, model, nodes, found.cost_all_time), seed)
     except plain.NotModelledError as error:
@@ -298,7 +298,7 @@ def compare(
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
     tables = plain.in_plain_form(tables)
-    model = resolved(tables, plain.model_of(tables, folder))
+    model = resolved(tables, plain.model_of(tables, folder), folder)
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
     other = world is not model or (world.loads is not None and (world.loads.values.size or not world.average))

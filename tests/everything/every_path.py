@@ -516,7 +516,7 @@ def promised(model: Model, policy: EveryPath, twin: EveryPath, seed: int, paths:
     rng = np.random.default_rng([seed, 7])
     worlds, loops = [], (policy, twin)
     start = 3 * rng.standard_normal((paths, model.n)) * rng.integers(2, size=(paths, 1))
-    start[:, model.n - model.before :] = 0.0
+    start[:, model.n - model.added :] = 0.0
     if not model.average:
         steps = model.horizon or steps
     for one in loops:

@@ -285,7 +285,7 @@ class Variances:
         self.V = np.zeros((p, p)) if model.V is None else model.V
         self.A, self.W = (one[np.ix_(self.pick, self.pick)] for one in (model.A, model.W))
         self.C = model.C[:, self.pick]
-        self.first = self.W if model.V is None else kalman(self.A, self.C, self.W, self.V)[1]
+        self.first = self.W if model.whole else kalman(self.A, self.C, self.W, self.V)[1]
         self.L = Certainty(model, None).L
 
     def start(self, paths: int, rng: np.random.Generator) -> None:
