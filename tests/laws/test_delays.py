@@ -15,7 +15,9 @@ from taciturn import ContinuousPlant, Cost, Network, Plant
 from taciturn.design import distributed, excess, lossy_lqg
 from taciturn.errors import ProblemError
 from taciturn.loop import close
+from taciturn.model.controller import Controller
 from taciturn.model.delay import Wait
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import LinkLaw, NodeRole
 
 Array = np.ndarray
@@ -232,3 +234,18 @@ def test_what_does_not_model_a_constant_delay_refuses_it_by_name() -> None:
         lossy_lqg(plant, cost, price=0.1, network=network)
     with pytest.raises(ProblemError, match=r"^rule = 'relative', but links delay their packets \(input 1 2 steps late"):
         distributed(plant, cost, theta=0.1, guarantee="every path", rule="relative", network=network)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_slow_disturbance_leaves_the_delays_of_a_plant(delay: int) -> None:
+    """With a tiny one, the loop of a given controller costs what it costs without."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]]), Cost([[1.0]], [[1.0]])
+    network = Network(links={"actuator": LinkLaw(delay=delay)})  # type: ignore[arg-type]
+    found = [
+        distributed(
+            plant, cost, theta=0.1, network=network,
+            controller=Controller([[0.5]], [[1.0]], [[-0.1]], [[-0.1]], disturbance=Disturbance(50.0, size)),
+        ).cost_all_time
+        for size in (1e-9, 0.0)
+    ]  # fmt: skip
+    assert found[0] == pytest.approx(found[1], rel=1e-9)

@@ -198,8 +198,9 @@ def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float =
 
 
 def _following(found: AnyPlant, plant: Plant | ContinuousPlant, more: int) -> AnyPlant:
-    """Return a plant with more states that has the loads and follows the set-points of the plant it was made of."""
-    found = altered(found, {"loads": tuple(replace(one, E=np.pad(one.E, (0, more))) for one in plant.loads)})
+    """Return a plant with more states that has the delays, the loads and the set-points of the plant it was made of."""
+    loads = tuple(replace(one, E=np.pad(one.E, (0, more))) for one in plant.loads)
+    found = altered(found, {"loads": loads, "transport": plant.transport})
     own = plant.exosystem
     if own is None:
         return found
