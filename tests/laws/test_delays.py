@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,6 +20,9 @@ from taciturn.model.controller import Controller
 from taciturn.model.delay import Wait
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import LinkLaw, NodeRole
+from taciturn.model.policy import longest_silence
+from taciturn.problem import parse
+from taciturn.study.record import fingerprint
 
 Array = np.ndarray
 SETTLED = 1e-15
@@ -249,3 +253,33 @@ def test_a_slow_disturbance_leaves_the_delays_of_a_plant(delay: int) -> None:
         for size in (1e-9, 0.0)
     ]  # fmt: skip
     assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_packets_that_are_too_late_for_the_buffer_are_told_as_lost() -> None:
+    """By the text of a network and of a link, and in the digest of a problem."""
+    text = """
+        plant = {A = [[0.9]], B = [[1.0]], C = [[1.0]], W = [[0.1]], V = [[0.1]], dt = 1.0}
+        cost = {Q = [[1.0]], R = [[1.0]]}
+        network = {actuator_delay = [0.7, 0.2, 0.1], actuator_buffer = 1}
+        policy = {kind = "excess", theta = 0.1}
+    """
+    problem = parse(tomllib.loads(text), "late.toml")
+    assert "actuator drops 10 %" in problem.network.short()
+    assert problem.network.links["actuator"].short() == "udp, drops 10 %"
+    assert longest_silence(problem.network.with_laws({"max_interval": 3}), "actuator") is None
+    changed = problem.changed({"network.actuator_delay": [0.5, 0.2, 0.3]})
+    assert fingerprint(changed) != fingerprint(problem)
+
+
+@pytest.mark.parametrize("fed", ["", "D = [[0.4]],"])
+def test_weights_as_the_controller_are_those_of_the_late_loop(fed: str) -> None:
+    """The output and the input that acts contribute 1 each."""
+    text = f"""
+        plant = {{A = [[0.9]], B = [[1.0]], C = [[1.0]], {fed} W = [[0.1]], V = [[0.1]], dt = 1.0}}
+        cost = {{weights = "as the controller"}}
+        network = {{actuator_delay = 2, sensor_delay = 1}}
+        controller = {{D = [[0.2]]}}
+        policy = {{kind = "all-time"}}
+    """
+    policy = parse(tomllib.loads(text), "late.toml").design()
+    assert policy.cost_all_time == pytest.approx(2.0, rel=1e-6)

@@ -94,8 +94,9 @@ class Link(Displayed):
     @property
     def lost(self) -> str:
         """How many packets the link drops, in words; empty if every packet arrives."""
-        bursts = ", in bursts" if self.law.burst is not None else ""
-        return f"drops {percent(self.law.mean_loss)}{bursts}" if self.law.mean_loss else ""
+        law = self.law.played()
+        bursts = ", in bursts" if law.burst is not None else ""
+        return f"drops {percent(law.mean_loss)}{bursts}" if law.mean_loss else ""
 
     @property
     def notes(self) -> tuple[str, ...]:

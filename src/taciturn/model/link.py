@@ -214,7 +214,8 @@ class LinkLaw(Displayed):
 
     def short(self) -> str:
         """Describe the protocol and the losses of the link in a few words."""
-        return f"{self.protocol}, drops {percent(self.mean_loss)}{' in bursts' if self.burst else ''}"
+        lost = self.played()
+        return f"{self.protocol}, drops {percent(lost.mean_loss)}{' in bursts' if lost.burst else ''}"
 
 
 IDEAL_LINK = LinkLaw()

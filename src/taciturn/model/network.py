@@ -423,7 +423,7 @@ class Network(Displayed):
         else:
             losses = {
                 link: f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
-                for link, law in self.links.items()
+                for link, law in self.played().links.items()
                 if not law.ideal
             }
             if len(protocols) == 1:

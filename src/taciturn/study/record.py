@@ -82,10 +82,11 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     laws = network.links.items()
     paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
     limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
+    late = {link: [law.delay, law.buffer] for link, law in laws if law.delay is not None or law.buffer is not None}
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    return found | {KIND: "Network"}, [one for one in (paid, limits, dict(network.missing)) if one]
+    return found | {KIND: "Network"}, [one for one in (paid, limits, late, dict(network.missing)) if one]
 
 
 def origin(
