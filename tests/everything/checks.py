@@ -330,7 +330,9 @@ def compare(
         add("base of this simulation itself", own.base_found, own.base, 0.0)
         if found.cost_all_time is not None:
             add("cost_all_time", (own.base, 0.0), found.cost_all_time, tolerance * abs(own.base))
-    if own.excess is not None and found.excess is not None:  # exact, or simulated by the library on the same noise too
+    if (
+        own.excess is not None and found.excess is not None and getattr(twin, "alike", True)
+    ):  # exact, or simulated by the library on the same noise too
         theirs = found.excess.value
         add(
             "excess", own.excess, theirs, found.excess.standard_error + found.excess.error + tolerance * abs(1 + theirs)

@@ -271,6 +271,9 @@ class EveryPath:
         self.approximate = model.continuous and loop.deviation is not None
         exact = loop.base()
         self.exact = exact if always and model.function is None else None
+        self.alike = (
+            not nodes.lossy
+        )  # otherwise every sample over these links costs more than over links without losses
         if self.approximate and all_time is not None and model.average:
             exact = all_time * model.seconds  # its disturbance moves between samples
         self.modes = [policy.get(key, "hold") == "model" for key in ("prediction", "actuation")]
