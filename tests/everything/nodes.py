@@ -339,4 +339,5 @@ def node_policy(tables: Tables, model: Model, nodes: Nodes, all_time: float | No
         return Variances(tables, model, nodes), base
     if not nodes.named and ("controller" in tables or tables["policy"].get("link") == "actuator"):
         raise NotModelledError("dead bands of a controller of the triangle")
+    base.alike = model.loads is None  # every sample of its filter costs more under loads that no filter knows
     return Bands(tables, model, nodes), base if "controller" not in tables else None

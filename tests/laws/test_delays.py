@@ -283,3 +283,22 @@ def test_weights_as_the_controller_are_those_of_the_late_loop(fed: str) -> None:
     """
     policy = parse(tomllib.loads(text), "late.toml").design()
     assert policy.cost_all_time == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_over_a_horizon_the_last_commands_of_a_late_input_act_no_more(delay: int) -> None:
+    """The cost of every sample is that of the recursion with a chain of earlier commands, whose last gains are 0."""
+    steps, plant = 6, Plant([[1.1]], [[1.0]], [[0.1]], mean=[2.0], covariance=[[0.3]])
+    cost = Cost([[1.0]], [[0.5]], horizon=steps, terminal=[[2.0]])
+    network = Network(links={"actuator": LinkLaw(delay=delay)})  # type: ignore[arg-type]
+    A, B = np.diag(np.ones(delay), 1), np.eye(delay + 1)[:, -1:]
+    A[0, 0] = 1.1
+    K, Q = np.diag([2.0, *np.zeros(delay)]), np.diag([1.0, 0.5, *np.zeros(delay - 1)])
+    wanted = 0.0
+    for _ in range(steps):
+        wanted += 0.1 * K[0, 0]
+        K = Q + A.T @ (K - K @ B @ np.linalg.pinv(B.T @ K @ B) @ B.T @ K) @ A
+    policy = excess(plant, cost, theta=0.1, network=network)
+    assert policy.cost_all_time == pytest.approx(wanted + K[0, 0] * (2.0**2 + 0.3), rel=1e-12)
+    with pytest.raises(ProblemError, match=f"has {delay} steps?, and an input acts {delay} steps? after its command"):
+        excess(plant, Cost([[1.0]], [[0.5]], horizon=delay), theta=0.1, network=network)
