@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from everything.kept import lifted
 from everything.laws import Law
-from everything.plain import Array, Model, NotModelledError, riccati
+from everything.plain import Array, Model, NotModelledError, inverse, riccati
 from everything.policies import Certainty, quadratic
 
 Tables = Mapping[str, Any]
@@ -151,7 +151,7 @@ class Rollout(Certainty):
                 noise += float(np.trace(innovation @ P[:n, :n]))
                 whole = stage + F.T @ P @ F
                 if j in sends:
-                    L = -np.linalg.solve(whole[n:, n:], whole[n:, :n])
+                    L = -inverse(whole[n:, n:]) @ whole[n:, :n]
                     gains[j] = L
                     best = np.vstack([np.eye(n), L])
                     P = np.zeros((n + m, n + m))

@@ -271,6 +271,9 @@ class EveryPath:
         self.approximate = model.continuous and loop.deviation is not None
         exact = loop.base()
         self.exact = exact if always and model.function is None else None
+        self.alike = (
+            not nodes.lossy
+        )  # otherwise every sample over these links costs more than over links without losses
         if self.approximate and all_time is not None and model.average:
             exact = all_time * model.seconds  # its disturbance moves between samples
         self.modes = [policy.get(key, "hold") == "model" for key in ("prediction", "actuation")]
@@ -516,7 +519,7 @@ def promised(model: Model, policy: EveryPath, twin: EveryPath, seed: int, paths:
     rng = np.random.default_rng([seed, 7])
     worlds, loops = [], (policy, twin)
     start = 3 * rng.standard_normal((paths, model.n)) * rng.integers(2, size=(paths, 1))
-    start[:, model.n - model.before :] = 0.0
+    start[:, model.n - model.added :] = 0.0
     if not model.average:
         steps = model.horizon or steps
     for one in loops:

@@ -16,6 +16,7 @@ from zlib import crc32
 
 import numpy as np
 from everything.amplitudes import named_signals, names, noise_at
+from everything.delays import INPUTS, SAMPLES
 from everything.disturbances import bias, disturbance, load, stepping_bias
 from everything.draft import STEP, Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
 
@@ -832,6 +833,8 @@ def features() -> list[Feature]:
         "bursty valves": ("lossy valves", links("valve", burst=BURST, acknowledged=True)),
         "missing samples": ("missing", partial(missing, law=0.1)),
         "missing samples in bursts": ("missing", partial(missing, law=BURST)),
+        **{name: ("late samples", add) for name, add in SAMPLES.items()},
+        **{name: ("late inputs", add) for name, add in INPUTS.items()},
         "prices": ("prices", links("valve", price=3.0)),
         "rounded probes": ("rounded", links("probe", payload="float32")),
         "energy of probes": ("joules", links("probe", energy=0.01, battery=1000.0)),

@@ -122,9 +122,13 @@ def certified(problem: Problem, found: Evaluation, seed: int, folder: Path) -> s
 
 
 def problem_with_every_sample(problem: Problem, policy: Policy, folder: Path) -> Problem:
-    """Return the problem whose links must send in every step, and lose nothing."""
+    """Return the problem whose links must send in every step, and lose nothing; they are as late as before."""
     tables = {name: dict(table) if isinstance(table, Mapping) else table for name, table in problem.source.items()}
-    tables["links"] = {link: {"max_interval": 1} for link in policy.network.links}
+    waits = {link: problem.network.links[link].wait for link in policy.network.links}
+    tables["links"] = {
+        link: {"max_interval": 1, "delay": {"seconds": wait.seconds} if wait.seconds else wait.steps}
+        for link, wait in waits.items()
+    }
     tables.pop("network", None)
     tables["policy"] = {key: one for key, one in tables["policy"].items() if key != "joint"}
     (folder / "every.toml").write_text(text_of(tables), encoding="utf-8")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from everything.laws import Channel, Law, Nodes, Samples
-from everything.plain import Array, Model, NotModelledError, block, kalman, regulator
+from everything.plain import Array, Model, NotModelledError, block, inverse, kalman, regulator
 from scipy.stats import chi2
 
 Tables = Mapping[str, Any]
@@ -156,9 +156,9 @@ def observer(model: Model, every: int = 1, gains: str = "lqg", law: Law | None =
         L = gain_for_losses(A, B, model.Q, model.R, model.N, law.loss, silence)
     else:
         L = regulator(A, B, model.Q, model.R, model.N)[2]
-    if model.V is None:
+    if model.whole:
         return Given(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((model.m, 0)), L, np.zeros((0, model.m)))
-    G = kalman(A, model.C, model.W, model.V)[0]
+    G = model.exact_gain if model.V is None else kalman(A, model.C, model.W, model.V)[0]
     left = np.eye(n) - G @ model.C
     return Given(A @ left, A @ G, L @ left, L @ G, B)
 
@@ -188,7 +188,7 @@ def gain_for_losses(A: Array, B: Array, Q: Array, R: Array, N: Array, loss: floa
     silent = np.block([[np.eye(n), np.zeros((n, m))], [np.zeros((m, n)), keep]])
     for _ in range(20_000):
         whole = stage + F_u.T @ P @ F_u  # of (x, u), u the input that is applied
-        L = -np.linalg.solve(whole[n:, n:], whole[n:, :n])
+        L = -inverse(whole[n:, n:]) @ whole[n:, :n]
         best = np.hstack([np.vstack([np.eye(n), L]), np.zeros((n + m, m))])
         new = (1 - loss) * best.T @ whole @ best + loss * silent.T @ whole @ silent
         if np.abs(new - P).max() <= 1e-13 * np.abs(new).max():
@@ -364,7 +364,7 @@ class KeptPolicy:
         V = np.zeros((len(model.C), len(model.C))) if model.V is None else model.V
         self.W, self.V = W, V
         if model.V is None and not q:
-            self.G = np.eye(n)
+            self.G = model.exact_gain
         else:
             self.G, prior = kalman(self.F, self.C, W, V)[:2]
             if rule == "cost" and every == 1 and watched:
@@ -395,7 +395,7 @@ class KeptPolicy:
         if self.rule == "cost":
             return np.where(known, y, self.prior @ self.C.T)
         if self.model.V is None and not self.q and self.side == "actuator":  # the model of a measured state
-            return np.where(known, y, self.prior)
+            return np.where(known, y, self.prior @ self.C.T)
         if self.side == "actuator":
             # the states of the controller if the samples of the gap had lain on a line, and not on the last one
             slope = np.where(known, (y - self.seen) / (self.gap + 1), 0.0)
@@ -637,10 +637,12 @@ def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array, Array]:
         if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
             break
         S = new
-    n, before, m = model.n, model.before, model.m
-    C = np.hstack([model.C[:, : n - before], np.zeros((len(model.C), before))])
-    _, _, c, y, _, _ = np.split(np.eye(size), np.cumsum(base.sizes)[:-1])
-    seen = np.hstack([C, np.zeros((len(C), size - n))]) + model.D @ (given.C @ c + given.D @ y)  # with the new input
+    n, m = model.n, model.m
+    C = np.array(tables["plant"]["C"], dtype=float)
+    D = np.array(tables["plant"].get("D", np.zeros((len(C), m))), dtype=float)
+    x, _, c, y, _, _ = np.split(np.eye(size), np.cumsum(base.sizes)[:-1])
+    acts = model.acting[:, :n] @ x + model.acting[:, -m:] @ (given.C @ c + given.D @ y)
+    seen = C @ x[: n - model.added] + D @ acts  # with the input that acts then
     one = np.diag(1 / np.diag(seen @ S @ seen.T))
-    R = np.diag(1 / np.diag(S[-m:, -m:])) + model.D.T @ one @ model.D
-    return C.T @ one @ C, R, C.T @ one @ model.D
+    R = np.diag(1 / np.diag(S[-m:, -m:])) + D.T @ one @ D
+    return C.T @ one @ C, R, C.T @ one @ D

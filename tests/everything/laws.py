@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,28 @@ class Law:
 
 
 def law_of(loss: float, burst: Tables | None, acknowledged: bool, rest: Tables) -> Law:
-    """Return the law of the keys of a link."""
+    """Return the law of the keys of a link, on which a packet that is later than the buffer is lost."""
+    found = _law_of(loss, burst, acknowledged, rest)
+    late = too_late(rest)
+    return replace(found, drops=1 - (1 - found.drops) * (1 - late)) if late else found
+
+
+def too_late(rest: Tables) -> float:
+    """Return the probability that a packet never arrives, or only after the buffer."""
+    delay, buffer = rest.get("delay", 0), rest.get("buffer")
+    if buffer is None:
+        return 0.0
+    if isinstance(delay, list):
+        chances, times, most = delay, list[float](range(len(delay))), buffer
+    elif isinstance(delay, Mapping) and "probability" in delay:
+        chances, times, most = delay["probability"], delay["seconds"], buffer["seconds"]
+    else:
+        return 0.0
+    late = 1.0 - sum(p for p, time in zip(chances, times, strict=True) if time <= most * (1 + 1e-9))
+    return late if late > 1e-9 else 0.0
+
+
+def _law_of(loss: float, burst: Tables | None, acknowledged: bool, rest: Tables) -> Law:
     limits = {"least": rest.get("min_interval", 1), "most": rest.get("max_interval", np.inf)}
     price = float(rest.get("price", 1.0))
     if burst is None:
@@ -97,12 +118,14 @@ def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
     delay = table.get("delay", 0)
     missing = {name: samples_of(one["missing"]) for name, one in links.items() if "missing" in one}
     if "nodes" not in tables:
-        told = table.get("protocol", "ideal") == "tcp"
-        laws = {
-            one: law_of(table.get(f"{one}_loss", 0.0), table.get(f"{one}_burst"), told or "protocol" not in table,
-                        links.get(one, {}))
-            for one in ("sensor", "actuator")
-        }  # fmt: skip
+        told, laws = table.get("protocol", "ideal") == "tcp", {}
+        for one in ("sensor", "actuator"):
+            own = {key: table[f"{one}_{key}"] for key in ("delay", "buffer") if f"{one}_{key}" in table}
+            own |= links.get(one, {})
+            lost = table.get(f"{one}_loss", 0.0) or table.get(f"{one}_burst") or too_late(own)
+            laws[one] = law_of(
+                table.get(f"{one}_loss", 0.0), table.get(f"{one}_burst"), own.get("acknowledged", told or not lost), own
+            )
         return Nodes({"sensor": list(range(outputs))}, {"actuator": list(range(inputs))}, laws, False, delay, missing)
     sensors, actuators, laws = {}, {}, {}
     center = next(name for name, role in tables["nodes"].items() if role.get("controls"))
@@ -112,7 +135,7 @@ def nodes_of(tables: Tables, outputs: int, inputs: int) -> Nodes:
                 found[name] = list(range(count)) if role[key] is True else list(role[key])
         if name != center and role.get("site") != center:
             own = links.get(name, {})
-            lost = own.get("loss", 0.0) or own.get("burst")
+            lost = own.get("loss", 0.0) or own.get("burst") or too_late(own)
             laws[name] = law_of(own.get("loss", 0.0), own.get("burst"), own.get("acknowledged", not lost), own)
             if role.get("site") is not None:
                 raise NotModelledError("nodes that share a place")

@@ -285,7 +285,7 @@ class Variances:
         self.V = np.zeros((p, p)) if model.V is None else model.V
         self.A, self.W = (one[np.ix_(self.pick, self.pick)] for one in (model.A, model.W))
         self.C = model.C[:, self.pick]
-        self.first = self.W if model.V is None else kalman(self.A, self.C, self.W, self.V)[1]
+        self.first = self.W if model.whole else kalman(self.A, self.C, self.W, self.V)[1]
         self.L = Certainty(model, None).L
 
     def start(self, paths: int, rng: np.random.Generator) -> None:
@@ -339,4 +339,5 @@ def node_policy(tables: Tables, model: Model, nodes: Nodes, all_time: float | No
         return Variances(tables, model, nodes), base
     if not nodes.named and ("controller" in tables or tables["policy"].get("link") == "actuator"):
         raise NotModelledError("dead bands of a controller of the triangle")
+    base.alike = model.loads is None  # every sample of its filter costs more under loads that no filter knows
     return Bands(tables, model, nodes), base if "controller" not in tables else None

@@ -9,8 +9,8 @@ Precision comes from a twin: the same controller, with every packet, runs on the
 exactly. The answer is the exact cost plus the mean difference of the two.
 
 Everything that a plant cannot influence is a part of one state z = (x, d, r): the plant, disturbances that the filter
-estimates, and set-points, which the controller is told. Where outputs show inputs directly, x also has the inputs that
-were applied in the step before.
+estimates, and set-points, which the controller is told. Where outputs show inputs directly, or links are late, x also
+has earlier inputs and outputs (``late``).
 """
 
 from __future__ import annotations
@@ -83,12 +83,14 @@ class Model:
         seconds: of a step if the plant is continuous, else 1.
         continuous: whether costs and rates are per second.
         n, q, s: numbers of states of the plant, of disturbances and of set-points.
-        before: number of the states of the plant, the last ones, that are the inputs of the step before.
-        D: direct feedthrough.
         Q, R, N: weights of the deviations of plant and inputs from X d, U d.
         X, U: where the plant is at its set-points: x = X (d, r), u = U (d, r).
         mean, covariance: of x at the start.
         value: set-points at the start.
+        pushing: effect of a disturbance that adds to the inputs on z.
+        acting: the inputs that act first in a step, of (z, u).
+        added: number of the states of the plant, the last ones, that are earlier inputs and outputs.
+        fresh: whether no output is older than another.
     """
 
     A: Array
@@ -122,23 +124,35 @@ class Model:
     slew: Array
     point: tuple[Array, Array]
     function: Callable[[Array, Array, Array], Array] | None
-    before: int
-    D: Array
+    pushing: Array
+    acting: Array
     loads: Loads | None = None
-
-    @property
-    def pushing(self) -> Array:
-        """Effect of a disturbance that adds to the inputs, which are not changed by it themselves."""
-        found = self.B.copy()
-        found[self.n - self.before : self.n] = 0.0
-        return found
+    added: int = 0
+    fresh: bool = True
 
     @property
     def own(self) -> Array:
-        """A mask of z: 0 for the inputs of the step before, which are no states of a file, else 1."""
+        """A mask of z: 0 for earlier inputs and outputs, which are no states of a file, else 1."""
         found = np.ones(len(self.A))
-        found[self.n - self.before : self.n] = 0.0
+        found[self.n - self.added : self.n] = 0.0
         return found
+
+    @property
+    def whole(self) -> bool:
+        """Whether a measurement is x."""
+        return self.V is None and not self.added
+
+    @property
+    def exact_gain(self) -> Array:
+        """The gain of the filter of a measured state."""
+        size = len(self.A)
+        if self.fresh:
+            return np.eye(size, len(self.C))
+        pick = np.flatnonzero(np.arange(size) < self.known.start)
+        gain = np.zeros((size, len(self.C)))
+        none = np.zeros((len(self.C),) * 2)
+        gain[pick] = kalman(self.A[np.ix_(pick, pick)], self.C[:, pick], self.W[np.ix_(pick, pick)], none)[0]
+        return gain
 
     @property
     def m(self) -> int:
@@ -238,47 +252,17 @@ def model_of(tables: Tables, folder: Path) -> Model:
     found = Model(
         Aa, Ba, Ca, V, draw, Wa, stage, pushed, rest, h, continuous, n, q, s, Qd, Rd, Nd, X, U, mean, covariance, value,
         changes, cost.get("horizon"), float(cost.get("discount", 1.0)), terminal, low, high, slew, (x0, u0), function,
-        0, D, loads_of(tables, folder, h, continuous, (A, B), (Q, R, N), q, s, len(C)),
+        Ba, np.hstack([np.zeros((m, n + q + s)), np.eye(m)]),
+        loads_of(tables, folder, h, continuous, (A, B), (Q, R, N), q, s, len(C)),
     )  # fmt: skip
+    from everything.late import Plain, late_of, with_queues
+
+    late = late_of(tables, len(C), m, h if continuous else float(plant["dt"]))
     fed = "D" in plant or "D" in plant.get("actual", {})
-    return showing(found, Sa) if fed else found
-
-
-def showing(model: Model, S: Array) -> Model:
-    """Return a model whose outputs show the inputs of the step before, which are further states of its plant.
-
-    Args:
-        model: the model without them.
-        S: dynamics of disturbances and set-points.
-    """
-    n, m = model.n, model.m
-
-    def wide(one: Array) -> Array:
-        return np.insert(one, [n] * m, 0.0, axis=1)
-
-    def tall(one: Array) -> Array:
-        return np.insert(one, [n] * m, 0.0, axis=0)
-
-    B, C = tall(model.B), wide(model.C)
-    B[n : n + m], C[:, n : n + m] = np.eye(m), model.D
-    X = np.vstack([model.X, model.U @ np.linalg.inv(S)]) if len(S) else np.zeros((n + m, 0))
-    (x0, u0), f = model.point, model.function
-
-    def function(x: Array, u: Array, w: Array) -> Array:
-        assert f is not None
-        return np.concatenate([f(x[:n], u, w[:n]), u])
-
-    loads = model.loads
-    if loads is not None:
-        loads = replace(loads, push=tall(loads.push), joint=tall(loads.joint), start=tall(loads.start[:, None])[:, 0],
-                        moves=wide(loads.moves))  # fmt: skip
-    return replace(
-        model, loads=loads, A=wide(tall(model.A)), B=B, C=C, noise=lambda rng, paths: wide(model.noise(rng, paths)),
-        W=wide(tall(model.W)), stage=wide(tall(model.stage)), pushed=wide(tall(model.pushed)), n=n + m,
-        Q=wide(tall(model.Q)), N=tall(model.N), X=X, mean=np.concatenate([model.mean, np.zeros(m)]),
-        covariance=wide(tall(model.covariance)), terminal=wide(tall(model.terminal)),
-        point=(np.concatenate([x0, u0]), u0), function=None if f is None else function, before=m,
-    )  # fmt: skip
+    if not fed and not late.given:
+        return found
+    all_of_them = np.hstack([E, np.zeros((n, len(Cz))), Ek])
+    return with_queues(found, late, Plain(A, B, Q, R, N, all_of_them, unknown(tables, n, len(C))[0], D, fed), Sa)
 
 
 def in_plain_form(tables: Tables) -> Tables:
@@ -393,7 +377,7 @@ def loads_of(
     ]
     known = [one for one in listed if one.get("known")]
     start, moves = np.zeros(n + q + s), np.zeros((rows, n + q + s))
-    values, E, G = list[Array](), list[Array](), list[Array]()
+    values = list[Array]()
     for one in stated:
         times, levels = stairs(one, folder)
         level = levels[np.searchsorted(times, np.arange(rows + 1) * h * (1 + 1e-9), side="right") - 1]
@@ -404,10 +388,8 @@ def loads_of(
             start[place], moves[:, place] = level[0], np.diff(level)
         else:
             values.append(level[:-1])
-            E.append(np.array(one["enters"], dtype=float))
-            G.append(np.array(one.get("measured", np.zeros(p)), dtype=float))
     r = len(values)
-    E, G = np.array(E).reshape(r, n).T, np.array(G).reshape(r, p).T
+    E, G = unknown(tables, n, p)
     joint, alone = np.zeros((n + 2 * m, r)), np.zeros((r, r))
     if continuous:
         into = np.hstack([B, np.zeros((n, m)), E])
@@ -423,6 +405,16 @@ def loads_of(
         E = held(A, E, h) if r else E
     push = np.vstack([E, np.zeros((q + s, r))])
     return Loads(np.array(values).reshape(r, rows).T, push, G, joint, alone, start, moves)
+
+
+def unknown(tables: Tables, n: int, p: int) -> tuple[Array, Array]:
+    """Return how the disturbances that no filter knows enter, and how the outputs show them."""
+    found = [
+        one for one in tables.get("disturbance", [])
+        if ("steps" in one or "file" in one) and not one.get("known") and not one["wander"]
+    ]  # fmt: skip
+    E, G = ([one.get(key, np.zeros(size)) for one in found] for key, size in (("enters", n), ("measured", p)))
+    return np.array(E, dtype=float).reshape(len(found), n).T, np.array(G, dtype=float).reshape(len(found), p).T
 
 
 def set_points_of(
@@ -596,7 +588,12 @@ def regulator(A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float 
         else:
             raise NotModelledError("a Riccati equation without a solution") from error
     H = R + discount * B.T @ K @ B
-    return K, H, -np.linalg.solve(H, discount * B.T @ K @ A + N.T)
+    return K, H, -inverse(H) @ (discount * B.T @ K @ A + N.T)
+
+
+def inverse(H: Array) -> Array:
+    """Return the inverse of a weight, or the least of inputs that still act on something: a late one may not."""
+    return np.linalg.pinv(H, hermitian=True, rcond=1e-12)
 
 
 def riccati(
@@ -604,7 +601,7 @@ def riccati(
 ) -> tuple[Array, Array, Array]:
     """Return the value before a step, H and L, from the value K after it."""
     H = R + discount * B.T @ K @ B
-    L = -np.linalg.solve(H, discount * B.T @ K @ A + N.T)
+    L = -inverse(H) @ (discount * B.T @ K @ A + N.T)
     new = Q + discount * A.T @ K @ A - L.T @ H @ L
     return (new + new.T) / 2, H, L
 
@@ -701,14 +698,13 @@ class World:
             m, there, steady = model.m, z[:, model.n :] @ model.X.T, z[:, model.n :] @ model.U.T
             joint = np.hstack([z[:, : model.n] - there, u[:, -m:] - steady, u[:, :m] - steady])
             cost = cost + 2 * joint @ model.loads.joint @ self.load + self.load @ model.loads.alone @ self.load
-        if model.function is None:
-            self.z = z @ model.A.T + u @ model.B.T + w
-        else:
-            n, (x0, u0) = model.n, model.point
-            moved = zip(z[:, :n] + x0, u + u0, w[:, :n], strict=True)
-            self.z = z @ model.A.T + w
-            self.z[:, :n] = np.array([model.function(*one) for one in moved]) - x0 + z[:, n:] @ model.A[:n, n:].T
-        self.z[:, model.n - model.before : model.n] = given[:, : model.before]
+        self.z = z @ model.A.T + given @ model.B.T + (u - given) @ model.pushing.T + w
+        if model.function is not None:
+            n, (x0, u0) = model.n - model.added, model.point
+            acts = np.hstack([z, given]) @ model.acting.T + u - given
+            moved = zip(z[:, :n] + x0, acts + u0, w[:, :n], strict=True)
+            rest = z[:, model.n :] @ model.A[:n, model.n :].T
+            self.z[:, :n] = np.array([model.function(*one) for one in moved]) - x0 + rest
         self.z[:, model.known] += dr
         if model.loads is not None:
             self.z += model.loads.push @ self.load
@@ -795,7 +791,7 @@ def with_actual(model: Model, tables: Tables, folder: Path) -> Model:
     if actual is None:
         return model
     kept = {"operating_point": tables["plant"]["operating_point"]} if "operating_point" in tables["plant"] else {}
-    fed = {"D": np.zeros((len(model.C), model.m))} if model.before else {}
+    fed = {"D": np.zeros((len(model.C), model.m))} if "D" in {**tables["plant"], **actual} else {}
     other = model_of({**tables, "plant": {**kept, **fed, **actual}}, folder)
     if model.q + model.s or model.continuous:
         if "weights" in tables["cost"]:

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from everything.laws import Channel, Law, Nodes, Samples, nodes_of
-from everything.plain import Array, Controller, Model, NotModelledError, kalman, measure_update, regulator, riccati
+from everything.plain import (
+    Array,
+    Controller,
+    Model,
+    NotModelledError,
+    kalman,
+    measure_update,
+    model_of,
+    regulator,
+    riccati,
+)
 
 Tables = Mapping[str, Any]
 Rule = Callable[["Certainty"], Array]
@@ -47,6 +58,8 @@ class Certainty:
         if model.V is None:
             if model.q:
                 raise NotModelledError("missing samples of a measured state with disturbances")
+            if not model.fresh:
+                raise NotModelledError("missing samples of a measured state that arrive at different times")
             return
         free = np.flatnonzero(np.arange(len(model.A)) < model.known.start)
         parts = model.A[np.ix_(free, free)], model.C[:, free], model.W[np.ix_(free, free)], model.V
@@ -106,7 +119,7 @@ class Certainty:
         for k in range(steps):
             L, H = self.Ls[min(k, len(self.Ls) - 1)], self.Hs[min(k, len(self.Hs) - 1)]
             gain, posterior = measure_update(prior, model.C, V)
-            if model.V is None:
+            if model.V is None and model.fresh:
                 posterior = np.zeros_like(posterior)
             self.gains.append(gain)
             after = Ks[min(k + 1, len(Ks) - 1)]
@@ -140,11 +153,10 @@ class Certainty:
         """Return gain and covariances of the steady filter of z, with zeros at the set-points."""
         model, size = self.model, len(self.model.A)
         pick = np.flatnonzero(free)
-        if model.V is None:
-            return np.eye(size), np.zeros((size, size)), np.zeros((size, size))
-        gain, prior, posterior = kalman(
-            model.A[np.ix_(pick, pick)], model.C[:, pick], model.W[np.ix_(pick, pick)], model.V
-        )
+        if model.V is None and model.fresh:
+            return model.exact_gain, np.zeros((size, size)), np.zeros((size, size))
+        V = np.zeros((len(model.C),) * 2) if model.V is None else model.V
+        gain, prior, posterior = kalman(model.A[np.ix_(pick, pick)], model.C[:, pick], model.W[np.ix_(pick, pick)], V)
         whole, before, after = np.zeros((size, len(model.C))), np.zeros((size, size)), np.zeros((size, size))
         whole[pick], before[np.ix_(pick, pick)], after[np.ix_(pick, pick)] = gain, prior, posterior
         return whole, before, after
@@ -181,7 +193,7 @@ class Certainty:
             self.prior[:, model.known] = r
         if self.samples is not None:  # a missing sample is the predicted one
             y = np.where(self.samples.known(), y, self.prior @ model.C.T)
-        if model.V is None and not model.q + model.s:
+        if model.whole and not model.q + model.s:
             self.estimate = y
         else:
             self.estimate = self.prior + (y - self.prior @ model.C.T) @ self.at(self.gains).T
@@ -370,7 +382,7 @@ class Downsampled:
         loop.memory["wait"] = np.where(sends, self.fast - 1, np.where(wait <= 0, self.slow - 1, wait - 1))
 
 
-def resolved(tables: Tables, model: Model) -> Model:
+def resolved(tables: Tables, model: Model, folder: Path) -> Model:
     """Return a model with the weights of the controller that its cost names."""
     from everything.kept import weights_as_kept
 
@@ -378,15 +390,9 @@ def resolved(tables: Tables, model: Model) -> Model:
         return model
     if model.continuous or model.s:
         raise NotModelledError("weights as the controller of a continuous plant, or with changing set-points")
-    Q, R, N = weights_as_kept(tables, model)
-    n, m, size = model.n, model.m, len(model.A)
-    stage, pushed = np.zeros_like(model.stage), np.zeros_like(model.pushed)
-    stage[:n, :n], stage[size:, size:] = Q, R
-    stage[:n, size:], stage[size:, :n] = N, N.T
-    pushed[:n, :n], pushed[n + m :, n + m :] = Q, R
-    pushed[:n, n + m :], pushed[n + m :, :n] = N, N.T
-    terminal = model.terminal if "terminal" in tables["cost"] else Q
-    return replace(model, Q=Q, R=R, N=N, stage=stage, pushed=pushed, terminal=terminal)
+    weights = dict(zip("QRN", (one.tolist() for one in weights_as_kept(tables, model)), strict=True))
+    cost = {key: value for key, value in tables["cost"].items() if key != "weights"}
+    return model_of({**tables, "cost": {**cost, **weights}}, folder)
 
 
 def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:

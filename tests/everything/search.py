@@ -117,6 +117,8 @@ REQUIRED: Mapping[str, str] = {
     "controller's set-point": "controller", "controller per second": "linear",
     "bank": "every path", "relative bank": "every path", "relative bank of a share": "every path",
     "threshold of silence": "every path", "spending": "every path", "range of gains": "every path",
+    "late probes": "link probe", "probes in buffers": "link probe", "probes too late": "link probe",
+    "late valves": "link valve", "valves too late": "link valve",
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
     "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
@@ -131,6 +133,12 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "kind symmetric-send-on-delta": ("proportional and integral",),
     "relative bank": ("variances",), "relative bank of a share": ("variances",),
     "each link for itself": ("two inputs", "two actuators", "every path"),
+    "probes of different delays": ("two outputs", "two sensors"),
+    "valves of different delays": ("two inputs", "two actuators"),
+    "samples late by a part": ("continuous",), "inputs late by a part": ("continuous",),
+    "inputs late by more": ("continuous",), "inputs too late by a part": ("continuous",),
+    "probes late by a part": ("continuous", "two outputs", "two sensors"),
+    "valves late by a part": ("continuous", "two inputs", "two actuators"),
 }  # fmt: skip
 KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "horizon": ("excess", "remote-lqg", "lossy-lqg"), "discount": ("excess", "remote-lqg"),
@@ -141,7 +149,9 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "losses": ("lossy-lqg", "distributed", "excess"), "acknowledged losses": ("excess", "lossy-lqg"),
     "acknowledged losses of sensors": ("excess", "lossy-lqg"), "bursts": ("excess", "lossy-lqg"),
     "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
-    "delay": ("lossy-lqg",),
+    "delay": ("lossy-lqg",), "samples too late": ("lossy-lqg", "distributed", "excess"),
+    "inputs too late": ("lossy-lqg", "distributed", "excess"), "inputs too late by a part": ("distributed", "excess"),
+    "probes too late": ("distributed",), "valves too late": ("distributed",),
     "proportional and integral": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
     "PID": ("excess", "event-pid", "distributed", "all-time", "periodic"),
     "proportional": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),

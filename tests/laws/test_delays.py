@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,8 +13,16 @@ from counts import few
 from systems import make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant
-from taciturn.design import distributed, excess
+from taciturn.design import distributed, excess, lossy_lqg
+from taciturn.errors import ProblemError
+from taciturn.loop import close
+from taciturn.model.controller import Controller
+from taciturn.model.delay import Wait
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import LinkLaw, NodeRole
+from taciturn.model.policy import longest_silence
+from taciturn.problem import parse
+from taciturn.study.record import fingerprint
 
 Array = np.ndarray
 SETTLED = 1e-15
@@ -205,3 +214,91 @@ def test_the_reference_costs_of_a_part_of_a_period() -> None:
             law = LinkLaw(delay={"seconds": seconds})  # type: ignore[arg-type]
             policy = excess(plant, cost, theta=0.1, period=0.3, network=Network(links={link: law}))
             assert policy.cost_all_time == pytest.approx(wanted, abs=6e-10)
+
+
+@pytest.mark.parametrize("late", [{"delay": 1, "loss": 0.1}, {"delay": [0.7, 0.2, 0.1], "buffer": 1}])
+def test_a_loss_that_a_design_ignores_is_simulated_on_a_late_link_too(late: dict[str, object]) -> None:
+    """Without acknowledgement, ``excess`` is designed for a link without losses; its loop has them."""
+    plant, cost, _ = drawn(0, parts=False)
+    network = Network(links={"actuator": LinkLaw(**late, acknowledged=False)})  # type: ignore[arg-type]
+    policy = excess(plant, cost, theta=0.3, network=network)
+    assert policy.network.loss("actuator") == 0.0
+    assert policy.network.links["actuator"].wait == Wait(1)
+    loop = close(plant, policy, network, cost)
+    assert loop.violated_assumptions == ("the network is not the one of the design",)
+
+
+def test_what_does_not_model_a_constant_delay_refuses_it_by_name() -> None:
+    """The stage cost of outputs and inputs of the same step, and gains for inputs that are zero in silence."""
+    network = Network(links={"actuator": LinkLaw(delay=2)})  # type: ignore[arg-type]
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
+    with pytest.raises(
+        ProblemError, match=r"^a link delays its packets \(input 1 2 steps late\), which the policy kind"
+    ):
+        lossy_lqg(plant, cost, price=0.1, network=network)
+    with pytest.raises(ProblemError, match=r"^rule = 'relative', but links delay their packets \(input 1 2 steps late"):
+        distributed(plant, cost, theta=0.1, guarantee="every path", rule="relative", network=network)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_slow_disturbance_leaves_the_delays_of_a_plant(delay: int) -> None:
+    """With a tiny one, the loop of a given controller costs what it costs without."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]]), Cost([[1.0]], [[1.0]])
+    network = Network(links={"actuator": LinkLaw(delay=delay)})  # type: ignore[arg-type]
+    found = [
+        distributed(
+            plant, cost, theta=0.1, network=network,
+            controller=Controller([[0.5]], [[1.0]], [[-0.1]], [[-0.1]], disturbance=Disturbance(50.0, size)),
+        ).cost_all_time
+        for size in (1e-9, 0.0)
+    ]  # fmt: skip
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_packets_that_are_too_late_for_the_buffer_are_told_as_lost() -> None:
+    """By the text of a network and of a link, and in the digest of a problem."""
+    text = """
+        plant = {A = [[0.9]], B = [[1.0]], C = [[1.0]], W = [[0.1]], V = [[0.1]], dt = 1.0}
+        cost = {Q = [[1.0]], R = [[1.0]]}
+        network = {actuator_delay = [0.7, 0.2, 0.1], actuator_buffer = 1}
+        policy = {kind = "excess", theta = 0.1}
+    """
+    problem = parse(tomllib.loads(text), "late.toml")
+    assert "actuator drops 10 %" in problem.network.short()
+    assert problem.network.links["actuator"].short() == "udp, drops 10 %"
+    assert longest_silence(problem.network.with_laws({"max_interval": 3}), "actuator") is None
+    changed = problem.changed({"network.actuator_delay": [0.5, 0.2, 0.3]})
+    assert fingerprint(changed) != fingerprint(problem)
+
+
+@pytest.mark.parametrize("fed", ["", "D = [[0.4]],"])
+def test_weights_as_the_controller_are_those_of_the_late_loop(fed: str) -> None:
+    """The output and the input that acts contribute 1 each."""
+    text = f"""
+        plant = {{A = [[0.9]], B = [[1.0]], C = [[1.0]], {fed} W = [[0.1]], V = [[0.1]], dt = 1.0}}
+        cost = {{weights = "as the controller"}}
+        network = {{actuator_delay = 2, sensor_delay = 1}}
+        controller = {{D = [[0.2]]}}
+        policy = {{kind = "all-time"}}
+    """
+    policy = parse(tomllib.loads(text), "late.toml").design()
+    assert policy.cost_all_time == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_over_a_horizon_the_last_commands_of_a_late_input_act_no_more(delay: int) -> None:
+    """The cost of every sample is that of the recursion with a chain of earlier commands, whose last gains are 0."""
+    steps, plant = 6, Plant([[1.1]], [[1.0]], [[0.1]], mean=[2.0], covariance=[[0.3]])
+    cost = Cost([[1.0]], [[0.5]], horizon=steps, terminal=[[2.0]])
+    network = Network(links={"actuator": LinkLaw(delay=delay)})  # type: ignore[arg-type]
+    A, B = np.diag(np.ones(delay), 1), np.eye(delay + 1)[:, -1:]
+    A[0, 0] = 1.1
+    K, Q = np.diag([2.0, *np.zeros(delay)]), np.diag([1.0, 0.5, *np.zeros(delay - 1)])
+    wanted = 0.0
+    for _ in range(steps):
+        wanted += 0.1 * K[0, 0]
+        K = Q + A.T @ (K - K @ B @ np.linalg.pinv(B.T @ K @ B) @ B.T @ K) @ A
+    policy = excess(plant, cost, theta=0.1, network=network)
+    assert policy.cost_all_time == pytest.approx(wanted + K[0, 0] * (2.0**2 + 0.3), rel=1e-12)
+    with pytest.raises(ProblemError, match=f"has {delay} steps?, and an input acts {delay} steps? after its command"):
+        excess(plant, Cost([[1.0]], [[0.5]], horizon=delay), theta=0.1, network=network)

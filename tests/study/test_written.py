@@ -117,3 +117,13 @@ def test_a_controller_without_an_integrator_gets_no_disturbance() -> None:
         plant, taciturn.Cost([[1.0]], [[0.1]]), Network(), "excess", {"theta": 0.1}, controller=controller
     )
     assert taciturn.evaluate(problem, steps=100_000).as_written is None
+
+
+def test_over_losses_the_loop_that_sends_every_sample_loses_packets_on_the_plant_as_written_too() -> None:
+    """Its cost is simulated, as the exact cost of the controller is that without losses."""
+    losses = '[network]\nprotocol = "udp"\nactuator_loss = 0.3'
+    written = taciturn.evaluate(motor(losses), steps=2000, seed=1).as_written
+    assert written is not None
+    assert written.cost_all_time is None
+    assert written.cost_every_sample is not None
+    assert written.cost_every_sample.standard_error > 0.0

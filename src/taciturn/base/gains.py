@@ -102,7 +102,9 @@ def price_control(problem: Discrete) -> Prices:
         best = problem.regulator()
         return Prices(problem, best.K, best.L, best.H, best.error)
     assert problem.terminal is not None
-    finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon)
+    transport = None if problem.source is None else problem.source.transport
+    late = () if transport is None else tuple(int(wait) for wait in transport.periods(problem.tick)[0])
+    finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon, late)
     return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
 
 

@@ -55,7 +55,7 @@ from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers
 from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
-from taciturn.lqg.registers import with_inputs_before
+from taciturn.lqg.registers import registers_of, with_inputs_before
 from taciturn.lqg.stored import Proved
 from taciturn.model.controller import (
     AnyController,
@@ -94,7 +94,12 @@ def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: flo
     problem, controller, _ = disturbed(plant, usual, period, kept)
     base = actuator_base(problem, controller)
     F, n = base.Phi + base.Gamma @ base.K, plant.states
-    seen = np.pad(plant.C, ((0, 0), (0, len(F) - n))) + (0.0 if plant.D is None else plant.D @ base.K)
+    acts = base.K
+    if plant.transport is not None:  # the inputs that act last in a step
+        found, first = registers_of(plant, problem.tick), registers_from(problem)
+        acts = found.Gu[-plant.inputs :] @ base.K
+        acts[:, first : first + len(found.S)] += found.Gz[-plant.inputs :]
+    seen = np.pad(plant.C, ((0, 0), (0, len(F) - n))) + (0.0 if plant.D is None else plant.D @ acts)
     rows = {"output_variance": seen, "input_variance": base.K}
     found: dict[str, list[float]] = {}
     for name, signals in rows.items():

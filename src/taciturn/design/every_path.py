@@ -107,6 +107,11 @@ class MeasuredCost(Displayed):
                 "rule = 'relative', but the plant is continuous in time, so its cost is an integral that no node can "
                 "measure; expected rule = 'bank', or a discrete plant"
             )
+        if problem.source is not None and problem.source.transport is not None:
+            raise ProblemError(
+                f"rule = 'relative', but links delay their packets ({problem.source.transport.text()}), so the cost of "
+                "a step has inputs and outputs of other steps; expected rule = 'bank', or no delays"
+            )
         if len(problem.plant.registers):
             raise ProblemError(
                 "rule = 'relative', but the outputs depend on the input of the previous step (plant.D), so no node "

@@ -14,6 +14,7 @@ remaining steps of a long horizon need no further computation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +98,9 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
 
 
 def regulate_finite(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, terminal: ArrayLike, horizon: int
-) -> FiniteRegulator:
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, terminal: ArrayLike, horizon: int,
+    late: Sequence[int] = (),
+) -> FiniteRegulator:  # fmt: skip
     """Compute the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
 
     K_N = Q_N,  H_k = R + B'K_{k+1}B,  L_k = −H_k^{-1}(B'K_{k+1}A + N'),  K_k = Q + A'K_{k+1}A − L_k'H_kL_k.
@@ -111,12 +113,14 @@ def regulate_finite(
         N: (n, m) cross weight.
         terminal: (n, n) symmetric terminal weight Q_N.
         horizon: number of steps N, at least 1.
+        late: steps after which each input acts, by registers in x; default 0. The last commands of an input that is
+            late are 0, as they act after the end.
 
     Returns:
         K (N+1, n, n), L (N, m, n), H (N, m, m), indexed by time.
 
     Raises:
-        ProblemError: data of the wrong shape, or an H_k is singular.
+        ProblemError: data of the wrong shape, an H_k is singular, or an input acts only after the end.
         UnstableError: the cost overflows, because of an uncontrollable unstable mode and a long horizon.
 
     Source: anderson1990optimal
@@ -129,6 +133,11 @@ def regulate_finite(
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     horizon = _arrays.count("horizon", horizon)
     n, m = B.shape
+    if max(late, default=0) >= horizon:
+        raise ProblemError(
+            f"the horizon has {number_of(horizon, 'step')}, and an input acts {number_of(max(late), 'step')} after its "
+            "command, which is after the end; expected a longer horizon, or a shorter delay"
+        )
     K, L, H = np.zeros((horizon + 1, n, n)), np.zeros((horizon, m, n)), np.zeros((horizon, m, m))
     K[horizon], repetition = _arrays.symmetric("terminal", terminal, n, "states × states"), Repetition()
     for k in reversed(range(horizon)):
@@ -142,9 +151,12 @@ def regulate_finite(
                 f"the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; expected a shorter horizon, or an input that "
                 "affects this mode"
             )
-        if not is_definite(H[k]):
-            raise costs_nothing(H[k], f" at step {k}", "R or the terminal weight")
-        L[k] = -np.linalg.solve(H[k], cross)
+        acts = np.array(late or [0] * m) < horizon - k
+        if acts.any():
+            each = np.ix_(acts, acts)
+            if not is_definite(H[k][each]):
+                raise costs_nothing(H[k][each], f" at step {k}", "R or the terminal weight")
+            L[k][acts] = -np.linalg.solve(H[k][each], cross[acts])
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
             K[k] = symmetrised(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])

@@ -583,7 +583,7 @@ class Network(Displayed):
             played, mine = law.played(), self.links[name]
             alike = all(getattr(mine, key) == getattr(played, key) for key in losses)
             kept = {key: getattr(law, key) for key in ("delay", "buffer", *losses)}
-            laws[name] = kept if alike else {"delay": None, "buffer": law.wait}
+            laws[name] = kept if alike or not any(law.wait) else {"delay": None, "buffer": law.wait}
         return self.changed(laws) if laws else self
 
     @property

@@ -567,7 +567,7 @@ def steps_since(link: str) -> str:
 def longest_silence(network: Network, link: str) -> int | None:
     """Return the largest number of steps between arrivals; None if it is unlimited, or packets are dropped."""
     law = network.links[link]
-    return None if law.mean_loss else law.max_interval
+    return None if network.loss(link) else law.max_interval
 
 
 def keep_intervals(policy: Policy) -> Mapping[str, Any]:

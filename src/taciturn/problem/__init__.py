@@ -52,7 +52,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, set_names
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
-from taciturn.model.transport import transport_of, with_transport
+from taciturn.model.transport import delayed_by, transport_of, with_transport
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
 from taciturn.problem.read import (
     NAMING,
@@ -438,8 +438,8 @@ def parse(
         controller = (
             None if file.controller is None else controller_of(file.controller, plant, file.reference is not None)
         )
-        cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
+        cost = cost_of(file.cost, delayed_by(plant, network), controller, parameters.get("period"))
         points = file.reference if trajectory is None else None
         plant = with_exosystem(plant, file.plant, file, points, network)
         if simulated is not None and actual is not None:

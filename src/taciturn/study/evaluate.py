@@ -491,7 +491,8 @@ def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
     if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None or problem.plant.loads:
         return None
-    if problem.network.missing:
+    network = problem.network
+    if network.missing or any(map(network.loss, network.links)):
         return None
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:

@@ -80,8 +80,8 @@ def lossy_lqg(
         λ(1 − rate)).
 
     Raises:
-        ProblemError: if the plant is continuous in time or has C or V, the cost has N or a discount, the delay is above
-            1, or the reference does not fit.
+        ProblemError: if the plant is continuous in time or has C or V, a link has a delay of its own, the cost has N or
+            a discount, the delay is above 1, or the reference does not fit.
         UnstableError: if the losses are too frequent for mean-square stability, with an average cost.
 
     Source: khashooei2017, schenato2007
@@ -168,6 +168,11 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
         raise ProblemError(
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
+        )
+    if plant.transport is not None:
+        raise ProblemError(
+            f"a link delays its packets ({plant.transport.text()}), which the policy kind lossy-lqg does not support; "
+            "expected network.delay = 1, or no delay"
         )
     if not plant.full_state:
         raise ProblemError(
