@@ -53,7 +53,7 @@ from taciturn.model.coverage import (
 )
 from taciturn.model.disturbance import padded
 from taciturn.model.expected import sensed_by
-from taciturn.model.information import check_network, expect_timely_acknowledgements, unheard_acknowledgements
+from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
 from taciturn.model.losses import LossLaw
 from taciturn.model.names import Names
@@ -582,7 +582,6 @@ def close(
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     instance("network", network, Network)
-    expect_timely_acknowledgements(policy, network)
     plant, network = delayed_by(plant, network), network.played()
     assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used

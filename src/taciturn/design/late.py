@@ -29,6 +29,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn._text import number_of
 from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state
 from taciturn.base.given_controller import MORE_PACKETS, GivenLoop, lqg_observer
 from taciturn.base.late import Delays, LateValue, chain_of, fourth_growth, late_value
@@ -80,7 +81,7 @@ def late_excess(
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(
-            f"{network.key(LINK, 'delay')} is random and packets are acknowledged, and {got}, or a buffer"
+            f"{network.lateness(LINK)}, with acknowledgements, and {got}, or a link without acknowledgements"
         )
     plant = with_transport(plant, None)
     if kept is None:
@@ -261,8 +262,9 @@ def _believed(found: LateValue, signals: tuple[str, ...], cuts: tuple[float, ...
     modes, depth, one = len(chain.modes), chain.delays.depth, np.ones((1, 1))
     if modes > MOST_BELIEVED:
         raise ProblemError(
-            f"packets that arrive up to {depth} periods late, over a link with {len(chain.delays.turns)} states, have "
-            f"{modes} modes; expected at most {MOST_BELIEVED}: shorter delays, a buffer, or fewer states"
+            f"packets that arrive up to {number_of(depth, 'period')} late, over a link of "
+            f"{number_of(len(chain.delays.turns), 'state')}, have {number_of(modes, 'mode')}; expected at most "
+            f"{MOST_BELIEVED}: shorter delays, a buffer, or fewer states"
         )
     names = [f"cost in mode {i}" for i in range(modes)]
     before: list[Step] = [Evaluate(AT, name, (Form(signals, Psi[i], float(psi[i])),)) for i, name in enumerate(names)]

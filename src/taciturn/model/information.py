@@ -24,7 +24,7 @@ import numpy as np
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
 from taciturn.model.coverage import INTERVALS, LATE, STEPS, TRACKING, Coverage
-from taciturn.model.network import IDEAL_LINK, PROTOCOL, TOO_LATE, Network
+from taciturn.model.network import PROTOCOL, TOO_LATE, Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import Policy, at_rest
 from taciturn.model.steps import (
@@ -94,29 +94,29 @@ def check_network(policy: Policy, network: Network) -> None:
 
 def _expect_held(policy: Policy, network: Network, link: str) -> None:
     """Raise an error unless packets of a link with random delays only replace a value that the receiver holds."""
-    key = network.key(link, "delay")
+    told = network.lateness(link)
     others = [location.on for location in policy.locations]
     others += [step.on for step in policy.steps if isinstance(step, Evaluate)]
     taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
     sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
     if sent is None or link not in links_of(policy):
         raise ProblemError(
-            f"{key} is random, but no node of the policy {policy.kind} receives a packet on the {link} link; expected "
-            f"a constant delay, or {network.key(link, 'buffer')}, with which the samples or inputs are late"
+            f"{told}, but no node of the policy {policy.kind} receives a packet on the {link} link; expected "
+            f"a constant delay without losses, or {network.key(link, 'buffer')}, with which samples or inputs are late"
         )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
     held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
     if not held or any(policy.steps.index(step) < sent for step in taken):
         raise ProblemError(
-            f"{key} is random, but a node of the policy {policy.kind} that receives packets on the {link} link does "
-            "more than to hold their last value, and would have to know how old a packet is; expected a constant "
-            f"delay, {network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
+            f"{told}, but a node of the policy {policy.kind} that receives packets on the {link} link does more than "
+            "to hold their last value, and would have to know how old a packet is; expected a constant delay, "
+            f"{network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
         )
     if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
         raise ProblemError(
-            f"{key} is random, but the policy {policy.kind} needs to know at the end of a step whether its packet on "
-            f"the {link} link has arrived; expected {network.key(link, 'buffer')} below one period, the policy kind "
-            "excess, or a link without acknowledgements"
+            f"{told}, but the policy {policy.kind} needs to know at the end of a step whether its packet on the {link} "
+            "link has arrived; expected no delay, the policy kind excess with actuation = 'hold', or a link without "
+            f"acknowledgements ({network.key(link, 'acknowledged')})"
         )
 
 
@@ -145,22 +145,6 @@ def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
 def _conditions(policy: Policy) -> list[Condition | None]:
     steps = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     return steps + [location.on for location in policy.locations]
-
-
-def expect_timely_acknowledgements(policy: Policy, network: Network) -> None:
-    """Raise an error if a sender needs acknowledgements before its next step, and packets arrive only after it."""
-    for link in {on.link for on in _conditions(policy) if isinstance(on, Acknowledged)}:
-        law = network.links.get(link, IDEAL_LINK)
-        if law.wait.periods(policy.tick) >= 1.0 and law.played().mean_loss > 0.0:
-            told, late = (
-                network.key(link, "acknowledged"),
-                network.key(link, "delay" if law.buffer is None else "buffer"),
-            )
-            raise ProblemError(
-                f"{late} is {law.wait.text()}, and the policy {policy.kind} needs acknowledgements of the {link} link "
-                f"before the next step ({told}), when no packet has arrived; expected a delay below one period, or no "
-                "acknowledgements"
-            )
 
 
 def check_information(policy: Policy, network: Network) -> None:

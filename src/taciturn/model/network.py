@@ -553,12 +553,22 @@ class Network(Displayed):
             if law.loss == 0.0 and law.burst is None and links[name].mean_loss > 0.0:
                 told = f"{TOO_LATE}{self.key(name, 'buffer')}"
                 stated |= {(name, key): told for key in ("loss", "burst", "acknowledged")}
+            if law.buffer is not None:
+                stated[name, "delay"] = self.key(name, "buffer")
         return replace(self, links={**self.links, **links}, stated=stated)
 
     def random_delay(self, link: str, period: float) -> DelayLaw | None:
         """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
         law = self.links[link].played().delay
         return None if law is None else law.in_periods(period)
+
+    def lateness(self, link: str) -> str:
+        """Return a clause about a link with random delays, or whose sender learns of a loss only after the delay."""
+        law = self.links[link]
+        name = self.key(link, "delay" if law.buffer is None else "buffer")
+        if law.buffer is None and (law.delay is None or law.delay.constant is None):
+            return f"{name} is random"
+        return f"{name} is {(law.buffer or law.played().delay or law).text()}, and packets may be lost"
 
     @property
     def late(self) -> tuple[str, ...]:

@@ -137,7 +137,7 @@ def excess(
     if acknowledges_late(links):
         if (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold"):
             raise ProblemError(
-                f"{links.key('actuator', 'delay')} is random and packets are acknowledged; expected link = 'actuator', "
+                f"{links.lateness('actuator')}, with acknowledgements; expected link = 'actuator', "
                 "every = 1, actuation = 'hold', gains = 'lqg' and no retry, or a buffer"
             )
         kept = None if controller is None else controller_from(controller)
