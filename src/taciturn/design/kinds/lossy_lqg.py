@@ -169,11 +169,6 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
-    if plant.transport is not None:
-        raise ProblemError(
-            f"a link delays its packets ({plant.transport.text()}), which the policy kind lossy-lqg does not support; "
-            "expected network.delay = 1, or no delay"
-        )
     if not plant.full_state:
         raise ProblemError(
             "C or V is given, but the policy kind lossy-lqg measures the full state; expected neither C nor V: remove "
