@@ -210,6 +210,43 @@ struct Full {
     }
 };
 
+// The full form over a link that delays packets by 0, 1 or 2 steps or loses them: a ring of three packets. The sender
+// assumes that its packet acts at once.
+struct Late : Full {
+    V applied = {}, left[2] = {all(NEVER), all(NEVER)}, packet[2] = {};
+
+    static constexpr double NEVER = 1e6;
+    Late(Generator &g) : Full(g) {}
+
+    INLINE void step(Late &s, Generator &g, Totals &totals) {
+        const Full at = s;
+        draw(s, g);
+        V estimate[4], squares;
+        const V r0 = fma(V_ROOT, at.v[0], s.x[0]) - s.prior[0], r1 = fma(V_ROOT, at.v[1], s.x[1]) - s.prior[1];
+        for (int i = 0; i < 4; ++i) estimate[i] = fma(KALMAN[i][0], r0, fma(KALMAN[i][1], r1, s.prior[i]));
+        const V before = totals.sent, u = decide(estimate, s.u, squares, totals);
+        const V uniform = Unit::scaled(Generator::next(g) >> 12, 0x1p-52, 0x1p-53);
+        V wait = uniform < all(DELAYS[0]) ? all(0) : uniform < all(DELAYS[1]) ? all(1) : uniform < all(DELAYS[2]) ? all(2) : all(NEVER);
+        wait = totals.sent > before ? wait : all(NEVER);
+        const Choice newest = wait < all(0.5), middle = s.left[0] < all(0.5), oldest = s.left[1] < all(0.5);
+        s.applied = newest ? u : middle ? s.packet[0] : oldest ? s.packet[1] : s.applied;
+        s.left[1] = (newest | middle) ? all(NEVER) : s.left[0] - all(1);
+        s.left[0] = newest ? all(NEVER) : wait - all(1);
+        s.packet[1] = s.packet[0], s.packet[0] = u, s.u = u;
+        V stage = s.applied * s.applied;
+        for (int i = 0; i < 4; ++i) stage = fma(s.x[i], s.x[i], stage);
+        totals.cost = totals.cost + stage;
+        V moved[4];
+        for (int i = 0; i < 4; ++i) {
+            moved[i] = fma(B[i], s.applied, times(W_ROOT, at.w[i]));
+            V prior = times(B[i], s.u);
+            for (int j = 0; j < 4; ++j) moved[i] = fma(A[i][j], s.x[j], moved[i]), prior = fma(A[i][j], estimate[j], prior);
+            s.prior[i] = prior;
+        }
+        for (int i = 0; i < 4; ++i) s.x[i] = moved[i];
+    }
+};
+
 struct Innovations {
     V prior[4] = {}, u = {}, xi[2];
 
@@ -250,6 +287,7 @@ void run(uint64_t seed, long paths, long ticks, double *found) {
 
 extern "C" {
 void full(uint64_t seed, long paths, long ticks, double *found) { run<Full, 1>(seed, paths, ticks, found); }
+void late(uint64_t seed, long paths, long ticks, double *found) { run<Late, 1>(seed, paths, ticks, found); }
 void innovations(uint64_t seed, long paths, long ticks, double *found) { run<Innovations, 1>(seed, paths, ticks, found); }
 void innovations_paired(uint64_t seed, long paths, long ticks, double *found) {
     run<Innovations, 2>(seed, paths, ticks, found);

@@ -69,7 +69,9 @@ def numbers(loop: Loop) -> str:
         "V_ROOT": float(np.sqrt(plant.V[0, 0])),
     }
     lines = [f"static constexpr double {name} = {value!r};" for name, value in singles.items()]
-    arrays = {"A": plant.A, "B": plant.B[:, 0], "KALMAN": gain, "L": L[0], "DRIVEN": driven}
+    law = loop.network.links["actuator"].delay  # of a loop with random delays of 0, 1 or 2 steps
+    delays = np.cumsum([0.6, 0.25, 0.1] if law is None else law.odds[0])
+    arrays = {"DELAYS": delays} | {"A": plant.A, "B": plant.B[:, 0], "KALMAN": gain, "L": L[0], "DRIVEN": driven}
     for name, array in arrays.items():
         size = "".join(f"[{n}]" for n in array.shape)
         text = str(array.tolist()).replace("[", "{").replace("]", "}")

@@ -33,16 +33,16 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn._text import number_of
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
 from taciturn.lqg.kalman import resting_states
 from taciturn.lqg.loaded import with_loads
-from taciturn.lqg.registers import point_with, with_same_start
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import (
     BURSTS,
     DRIFT,
     FUNCTION,
     JUMPS,
+    LATE,
     LIMIT,
     LOADS,
     ROUNDING,
@@ -53,7 +53,7 @@ from taciturn.model.coverage import (
 )
 from taciturn.model.disturbance import padded
 from taciturn.model.expected import sensed_by
-from taciturn.model.information import check_network, expect_timely_acknowledgements, unheard_acknowledgements
+from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.limits import Limits
 from taciturn.model.losses import LossLaw
 from taciturn.model.names import Names
@@ -65,9 +65,19 @@ from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.transport import delayed_by, transport_of
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
+from taciturn.program.all_nodes import (
+    ACTING,
+    Begin,
+    add_values,
+    begin_time_step,
+    carry_out,
+    deviation,
+    measure,
+    replaced,
+)
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program, Truth
+from taciturn.program.late import place_of
 from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import Name, Precision, Sent, Silence, named
 from taciturn.program.ranges import ranges_of_sums
@@ -108,7 +118,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        f"the plant{delays} is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
+        # without acknowledgements, the plant of the design has the mean of a random delay
+        f"the plant{delays} is not the one of the design": not (plant.same_as(model) or lacks(DRIFT) or lacks(LATE)),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
         # set-points count from the operating point, so another one starts them elsewhere
         "the initial state is not the one of the design": started
@@ -123,6 +134,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "samples are missing at random": lacks(SAMPLES),
+        "packets are delayed at random, and their delays are not acknowledged": lacks(LATE),
         "the filter has the gain for missing samples, but none is missing": bool(
             policy.network.missing and not network.missing
         ),
@@ -133,7 +145,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
 
 # differences that have sentences of their own
-NAMED = FUNCTION | LIMIT | SET_POINT_LIMITS | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES
+NAMED = FUNCTION | LIMIT | SET_POINT_LIMITS | JUMPS | BURSTS | ROUNDING | DRIFT | LOADS | SAMPLES | LATE
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
@@ -247,6 +259,7 @@ class Loop(Displayed):
     def reducible(self) -> bool:
         """True if a simulation without the plant, driven by the innovations, has the same distribution."""
         gaussian = self.problem.gaussian and self.policy.theory.innovations is not None
+        gaussian = gaussian and not self.network.late  # packets in flight are no part of the estimate
         return self.nominal and gaussian and self.horizon is None
 
     @cached_property
@@ -353,6 +366,10 @@ class Loop(Displayed):
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
         laws = {link_state(link): network.burst(link) for link in network.links}
         laws |= {sample_state(node): law for node, law in network.missing.items() if isinstance(law, LossLaw)}
+        for link in self.network.late:
+            law = self.network.random_delay(link, self.policy.tick)
+            if law is not None and law.sequence:
+                drawn[place_of(link)] = draws.integers(len(law.sequence), size=paths).astype(np.float64)[None]
         for name, burst in laws.items():
             if burst is not None:
                 drawn[name] = burst.pick(draws.random(paths)).astype(np.float64)[None]
@@ -421,10 +438,10 @@ class Loop(Displayed):
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
         """Return the program that computes one step of the loop, including the plant. Its random numbers are inputs."""
         # These are normal numbers, or with ``supplied`` the noise ``w`` and ``v``. ``begin`` is the class of the step.
-        tick = self._tick({"x": self.problem.plant.states}, begin)
+        tick, pieces = self._tick({"x": self.problem.plant.states}, begin), self.problem.pieces
         if supplied:
             tick.recall("x")  # so that x is the first state
-        tick.draw_losses(self.policy, self.network)
+        tick.draw_losses(self.policy, self.network, (0.0,) if pieces is None else pieces.cuts)
         self._load(tick)
         known, sensed = tick.draw_samples(self.network), sensed_by(self.policy)
         absent = {signal: [known[node]] * len(rows) for signal, (node, rows) in sensed.items() if node in known}
@@ -469,7 +486,9 @@ class Loop(Displayed):
             moved = trace(tick.builder, plant.function.function, given, {"x": plant.states})["x"]
             return add_values(tick, moved, tick.combine(pushed, plant.states)) if pushed else moved
         drift = {} if plant.drift is None else {ONE: plant.drift[:, None]}
-        moved = tick.combine({"x": plant.A, "applied": plant.B, **drift, **pushed}, plant.states)
+        pieces = self.problem.pieces
+        effect = {"applied": plant.B} if pieces is None or ACTING not in tick.signals else {ACTING: pieces.B}
+        moved = tick.combine({"x": plant.A, **effect, **drift, **pushed}, plant.states)
         noise = self._disturbance(tick, supplied)
         return add_values(tick, moved, noise) if noise else moved
 
@@ -486,13 +505,21 @@ class Loop(Displayed):
 
     def _deviate(self, tick: TimeStep) -> tuple[str, str]:
         """Return the signals that the cost weights: state and input, or their deviations from their targets."""
-        rest, targets = self.problem.rest, self.policy.targets
+        rest, targets, pieces = self.problem.rest, self.policy.targets, self.problem.pieces
         state = deviation(tick, "x", targets.get("x"), rest and rest.x)
+        if pieces is not None and ACTING in tick.signals:
+            if targets.get("applied"):
+                raise ProblemError(
+                    "the reference states inputs at each step, and packets arrive at random within a period; expected "
+                    "delays of whole periods, a buffer, or no [reference]"
+                )
+            return state, deviation(tick, ACTING, None, rest and np.tile(rest.u, len(pieces.cuts)))
         return state, deviation(tick, "applied", targets.get("applied"), rest and rest.u)
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p, loads = self.problem, self.problem.loads
-        M = np.block([[p.Q, p.N], [p.N.T, p.R]])
+        acts = p if p.pieces is None or not applied.startswith(ACTING) else p.pieces
+        M = np.block([[p.Q, acts.N], [acts.N.T, acts.R]])
         if loads is None or not loads.weights.any() or constant:  # of an estimate without the plant, there is none
             return Form((state, applied), M, constant)
         return Form((state, applied, LOAD), np.hstack([np.vstack([M, loads.weights[: len(M)].T]), loads.weights]))
@@ -555,7 +582,6 @@ def close(
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     instance("network", network, Network)
-    expect_timely_acknowledgements(policy, network)
     plant, network = delayed_by(plant, network), network.played()
     assumed, stated = policy.disturbance, plant.names
     # the states without this disturbance and without set-points, with which no other external signals are used
@@ -565,7 +591,7 @@ def close(
     if assumed is not None and len(cost.Q) == without:
         cost = padded(cost, policy.model.inputs)
     period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
-    problem = discretise(plant, cost, period, policy.prediction)
+    problem = discretise(plant, cost, period, policy.prediction, network.cuts(policy.tick))
     for name, size in (("state", "stated"), ("input", "inputs"), ("output", "outputs")):
         got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:

@@ -79,7 +79,7 @@ def test_each_argument_of_a_function_is_an_option_of_its_command(name: str) -> N
 def test_every_command_that_designs_a_policy_changes_its_keys() -> None:
     """Those of twins take the price and theta as options of their own."""
     commands = typer.main.get_group(app).commands
-    without = {"new", "bench", "reproduce", "relay", "setpoint", "twin", "camera", "help", "version"}
+    without = {"new", "bench", "delays", "reproduce", "relay", "setpoint", "twin", "camera", "help", "version"}
     for name, command in commands.items():
         assert any("--set" in option.opts for option in command.params) == (name not in without), name
 
@@ -90,7 +90,7 @@ def test_commands_that_print_results_print_methods_on_request() -> None:
     asked = {name for name, one in commands.items() if any("-v" in option.opts for option in one.params)}
     assert asked == {
         *("show", "evaluate", "simulate", "tradeoff", "compare", "tune", "sweep", "channel", "certify", "network"),
-        *("bench", "twin", "export", "reproduce"),
+        *("bench", "delays", "twin", "export", "reproduce"),
     }
 
 

@@ -36,6 +36,10 @@ TABLES: dict[str, Any] = {
     "policy": {"kind": "distributed", "theta": 0.1},
     "nodes": NODES,
 }  # fmt: skip
+ONE_SENSOR: dict[str, Any] = {
+    "policy": {"kind": "lqg", "theta": 0.1},
+    "nodes": {"level": {"measures": True, "site": "plc"}, "plc": {"controls": True}, "pump": {"applies": True}},
+}
 CONTINUOUS = {
     **TABLES,
     "plant": {key: value for key, value in TABLES["plant"].items() if key != "dt"}
@@ -123,7 +127,7 @@ def test_a_trace_is_read_in_the_order_of_sending(file: Any, content: str | bytes
     law = delay_from("delay", {"trace": file(content)})
     assert (law.waits, law.odds, law.sequence) == ((0.01, 0.02), ((0.5, 0.25),), (0, 2, 1, 0))
     assert law.text() == "measured, 10 ms to 20 ms, mean 13.33 ms, 25 % lost"
-    assert law.mean() == pytest.approx(0.04 / 3)
+    assert law.mean == pytest.approx(0.04 / 3)
 
 
 @pytest.mark.parametrize(
@@ -379,7 +383,7 @@ def test_the_mean_is_that_of_the_states_of_the_link() -> None:
     """A state counts by its share of the steps."""
     link = LinkLaw(burst=BURSTS, delay={"states": [1, 3]})
     assert link.delay is not None
-    assert link.delay.mean(link.states) == pytest.approx(1 * 0.8 + 3 * 0.2)
+    assert link.delay.mean_by(link.states) == pytest.approx(1 * 0.8 + 3 * 0.2)
     assert link.lateness() == ("delay by the state of the link, 1 step to 3 steps, mean 1.4 steps",)
     buffered = replace(link, buffer=2)
     assert buffered.late == pytest.approx(0.2)
@@ -418,8 +422,8 @@ def test_a_network_tells_its_delays() -> None:
         (CONTINUOUS, {"pump": {"buffer": {"seconds": 1e300}}}, "need more than 200 registers"),
         (CONTINUOUS, {"level-1": {"delay": {"seconds": 1e300}}}, "need more than 200 registers"),
         (
-            TABLES, {"pump": {"delay": [0.5, 0.5]}},
-            "a delay that varies on a link without a buffer is given, which .*; expected a constant delay, or a buffer",
+            {**TABLES, **ONE_SENSOR}, {"pump": {"delay": [0.5, 0.5]}},
+            r"links\.pump\.delay is given, which the policy kind lqg does not .* a constant delay, or a buffer: change",
         ),
     ],
 )  # fmt: skip
@@ -442,11 +446,8 @@ def test_late_packets_are_refused_by_name() -> None:
     with pytest.raises(ProblemError, match=r"on the sensor link; .*: remove network.sensor_buffer"):
         problem.changed(unused).design()
     acknowledged = {"network.protocol": "tcp", "network.actuator_loss": 0.1}
-    words = "network.actuator_delay is 2 steps, and the policy excess needs acknowledgements of the actuator link"
-    with pytest.raises(ProblemError, match=words):
+    with pytest.raises(ProblemError, match=r"network\.actuator_delay is .* packets are acknowledged; expected"):
         problem.changed({**acknowledged, "network.actuator_delay": 2}).design()
-    with pytest.raises(ProblemError, match=r"network\.actuator_buffer is 1 step, and the policy excess needs"):
-        problem.changed({**acknowledged, "network.actuator_buffer": 1}).design()
     with pytest.raises(ProblemError, match="has a constant delay, with which the policy kind lossy-lqg would not know"):
         load("lossy-double-integrator").changed({"network.sensor_delay": 1}).design()
 

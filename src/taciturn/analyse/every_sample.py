@@ -80,7 +80,7 @@ def with_every_sample(loop: Loop, baseline: Loop | None = None) -> WithEverySamp
     """
     always = attempt_of(loop.policy)
     plant = loop.problem.plant
-    known = loop.horizon is None and plant.function is None and loop.problem.loads is None
+    known = loop.horizon is None and plant.function is None and loop.problem.loads is None and not loop.network.late
     known = known and not isinstance(plant.changes, SampledChanges)
     if always is None or not known or loop.precision != "float64":
         return None
@@ -182,7 +182,7 @@ class _EverySample(BoundedStep):
         super().__init__(kind, case, builder, *rest)
         self._kept = kept
 
-    def draw_losses(self, policy: Policy, network: Network) -> None:
+    def draw_losses(self, policy: Policy, network: Network, cuts: tuple[float, ...] = (0.0,)) -> None:
         """Draw the same numbers as the loop itself."""
         TimeStep.draw_losses(self, policy, network)
 

@@ -326,7 +326,7 @@ class FixedStep(TimeStep):
         super().__init__(_Collected(builder.precision), *rest)
         self._kind, self._case, self._option = kind, case, 0
 
-    def draw_losses(self, policy: Policy, network: Network) -> None:
+    def draw_losses(self, policy: Policy, network: Network, cuts: tuple[float, ...] = (0.0,)) -> None:
         """Draw no random losses, because the case states which links drop their packets."""
 
     def draw_samples(self, network: Network) -> dict[str, Truth]:

@@ -13,4 +13,6 @@ Read the modules in this order:
 6. ``response``: the response of such a loop to its own silence, whatever the noise is.
 7. ``nominal``: a policy with what its base fixes. ``anti_windup``: a policy for inputs with limits, and
    ``limited_value``: the cost of silence for these.
+8. ``periods``: a period in which inputs change because packets arrive. ``late``: the value of a base whose packets
+   arrive late, by any random delay, and the cost of silence there.
 """

@@ -51,11 +51,11 @@ from taciturn.base.value import (
     seen_part,
 )
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
-from taciturn.lqg.discrete import Discrete, beyond_limits, discretise
+from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from
 from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
-from taciturn.lqg.registers import registers_from, with_inputs_before
+from taciturn.lqg.registers import with_inputs_before
 from taciturn.lqg.stored import Proved
 from taciturn.model.controller import (
     AnyController,

@@ -213,7 +213,7 @@ def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None
         # the receiver's own value may settle a loop that every packet destabilises; such a loop is no base
         if repeated_value(base, attempts.scaled(0.0)) is None:
             return None
-        shown, kept = _without_hidden(cycle)
+        shown, kept = without_hidden(cycle)
         found = lossy(shown, attempts.turns)
         return None if found is None else (kept @ found[0] @ kept.T, found[1])
     F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)
@@ -299,7 +299,7 @@ def _cycle(base: Base, attempts: Attempts) -> Cycle:
     ]
 
 
-def _without_hidden(cycle: Cycle) -> tuple[Cycle, Array]:
+def without_hidden(cycle: Cycle) -> tuple[Cycle, Array]:
     """Return the fates without the lasting modes that no fate moves into the cost, and the map back, (n, k).
 
     Such modes are set-points that the loop follows: at rest, a packet that is dropped changes nothing.

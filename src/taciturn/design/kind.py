@@ -37,12 +37,23 @@ from taciturn.design.missing_samples import for_missing_samples
 from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
-from taciturn.model.information import expect_timely_acknowledgements
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import LATE, Network
+from taciturn.model.network import LATE_LOSS, Network
 from taciturn.model.policy import Policy, with_intervals
-from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
-from taciturn.model.transport import delayed_by
+from taciturn.model.steps import (
+    Acknowledged,
+    Acted,
+    Apply,
+    Assign,
+    Condition,
+    Decide,
+    Draw,
+    Received,
+    Send,
+    Step,
+    assigned,
+)
+from taciturn.model.transport import expected_by
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
@@ -219,8 +230,10 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
-            late = network.losing.startswith(LATE)
-            remedy = "a buffer that no delay exceeds" if late else f"remove {network.losing}"
+            late = network.losing.startswith(LATE_LOSS)
+            varies = network.losing in [network.key(link, "delay") for link in network.late]
+            remedy = f"{'a constant delay, or a buffer: change' if varies else 'remove'} {network.losing}"
+            remedy = "a buffer that no delay exceeds" if late else remedy
             raise PlacementError(
                 f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
                 f"{remedy} (`taciturn network FILE --loss P` drops packets of any policy kind)"
@@ -365,13 +378,12 @@ def _on(
     """
     stated = Network() if network is None else network
     instance("network", stated, Network)
-    plant, network = plant and delayed_by(plant, stated), stated.played()
+    plant, network = plant and expected_by(plant, stated), stated.played()
     known = kind.network_for(network)
     policy = design(plant, known)
     if isinstance(policy, Policy):
         # last, since the laws name nodes of this network
         found = for_missing_samples(placed(policy, network), network)
-        expect_timely_acknowledgements(found, stated)
         return replace(found, network=found.network.delayed_as(stated))
     if known.nodes != network.nodes:
         raise ProblemError(
@@ -496,7 +508,7 @@ def _renamed(step: Step, names: Mapping[str, str]) -> Step:
 
 
 def _condition(on: Condition | None, names: Mapping[str, str]) -> Condition | None:
-    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged) else on
+    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged | Acted) else on
 
 
 def _keys(found: Mapping[str, Value], names: Mapping[str, str]) -> dict[str, Value]:

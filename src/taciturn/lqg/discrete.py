@@ -40,16 +40,28 @@ from taciturn._modes import (
     invariant,
     pace,
     radius,
+    summed,
     unit_columns,
 )
 from taciturn._rational import Limit, unmoved
 from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import MOST_PROBLEMS, remembered
+from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
-from taciturn.lqg.quadratic import Quadratic, worth_of
-from taciturn.lqg.registers import expect_digits, parts_of, registers_from, with_registers
+from taciturn.lqg.quadratic import Quadratic, placed, worth_of
+from taciturn.lqg.registers import (
+    Extended,
+    Pieces,
+    cuts_of,
+    extend,
+    in_deviations,
+    registered,
+    registers_of,
+    rest_with,
+    with_inputs_before,
+)
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import Exact, Sampled, Source, sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -71,6 +83,7 @@ from taciturn.model.plant import (
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Exosystem
 
+BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 INSTANTS = (
     "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
@@ -81,7 +94,7 @@ LASTING = (
     "networks begin before it"
 )
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
-HIDDEN = "source", "rest", "instants", "exact", "deviations", "loads"
+HIDDEN = "source", "rest", "instants", "exact", "deviations", "loads", "pieces"
 LEAST = 1e-10  # movement within a period, in units of the state, that leaves digits of what a plant does in a step
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
@@ -107,6 +120,7 @@ class Discrete(Displayed):
             it only has A, B and W.
         deviations: with disturbances and set-points, the deviations by construction, whose problem has the cost.
         loads: the loads of a simulated plant; None in a design.
+        pieces: the same problem with another input in each piece of a period, if packets arrive within periods.
     """
 
     plant: Plant
@@ -125,6 +139,7 @@ class Discrete(Displayed):
     exact: Exact | None = None
     deviations: Followed | None = None
     loads: SampledLoads | None = None
+    pieces: Pieces | None = None
 
     def regulator(self) -> Regulator:
         """Compute the optimal regulator for an average cost or a discounted cost.
@@ -277,7 +292,11 @@ class Discrete(Displayed):
 
 
 def discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None = None,
+    cuts: tuple[float, ...] = (),
 ) -> Discrete:
     """Convert a plant and a cost to a discrete-time control problem. A continuous-time plant is sampled exactly.
 
@@ -286,6 +305,7 @@ def discretise(
         cost: cost per step of a discrete plant, or per second of a continuous one.
         period: seconds between steps; only for a continuous plant.
         prediction: model that the actuator runs between steps; the input is then the state of this model.
+        cuts: parts of a period, in (0, 1), at which packets may arrive and change an input (``Discrete.pieces``).
 
     Returns:
         The discrete plant with the weights of one step.
@@ -300,17 +320,21 @@ def discretise(
     instance("cost", cost, Cost)
     plant = altered(plant, {"loads": ()}) if plant.loads else plant  # designs do not know them
     compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
-    return compute(plant, cost, period, prediction)
+    found = compute(plant, cost, period, prediction)
+    return replace(found, pieces=_pieces(found, plant, cost, cuts)) if cuts else found
 
 
 def _discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
 ) -> Discrete:
     """Return the discrete-time control problem of checked data."""
     SIMULATED.check(plant, cost)
     if plant.D is not None or plant.exosystem is not None or plant.transport is not None:
         return _with_added_states(plant, cost, period, prediction)
-    return _sampled(plant, cost, period, prediction, None)
+    return _sampled(plant, cost, period, prediction, (0.0,))
 
 
 def _sampled(
@@ -318,9 +342,9 @@ def _sampled(
     cost: Cost,
     period: float | None,
     prediction: Prediction | None,
-    parts: tuple[float, ...] | None,
+    cuts: tuple[float, ...],
 ) -> Discrete:
-    """Return the problem of a plant without further states. With ``parts``, its inputs are those before and after."""
+    """Return the problem of a plant without further states. Its inputs are those of each piece of a period."""
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected the shapes "
@@ -354,7 +378,7 @@ def _sampled(
             f"{np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
-        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period, parts=parts)
+        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period, cuts=cuts)
     else:
         limit, rate = plant.input_limit, plant.input_rate
         given = {
@@ -379,7 +403,7 @@ def _sampled(
         ) from None
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     limit, rate = plant.input_limit, None if plant.input_rate is None else period * plant.input_rate
-    limit, rate = (None, None) if parts else (limit, rate)  # of the commands, which are states
+    limit, rate = (limit, rate) if len(cuts) == 1 else (None, None)  # of the commands, which are states
     discrete = derived_plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, limit, input_rate=rate
     )
@@ -396,7 +420,10 @@ _of_data = remembered(_discretise, MOST_PROBLEMS)
 
 
 def _with_added_states(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
 ) -> Discrete:
     """Return the problem of a plant with its disturbances, and with registers of late inputs and of those that its
     outputs show.
@@ -415,26 +442,46 @@ def _with_added_states(
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{added}, and {got}")
-    parts = _parts(plant, period)
-    found = _sampled(altered(plant, {"D": None, "exosystem": None, "transport": None}), cost, period, prediction, parts)
-    if e is not None:
-        found = joined(found, plant, e, parts)
+    found = _by_pieces(plant, cost, period, _cuts(plant, period))
     return with_registers(found, plant) if late else found
 
 
-def _parts(plant: Plant | ContinuousPlant, period: float | None) -> tuple[float, ...] | None:
-    """Return the part of a period that each input waits before it acts; None if all wait whole periods."""
+def _by_pieces(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, cuts: tuple[float, ...]) -> Discrete:
+    """Return the problem of a plant, without its delays, whose inputs are those that act in each piece of a period."""
+    bare = altered(plant, {"D": None, "exosystem": None, "transport": None})
+    found = _sampled(bare, cost, period, None, cuts)
+    return found if plant.exosystem is None else joined(found, plant, plant.exosystem, cuts)
+
+
+def _pieces(problem: Discrete, plant: Plant | ContinuousPlant, cost: Cost, cuts: tuple[float, ...]) -> Pieces:
+    """Return the problem in which packets may change the inputs at parts of a period."""
+    if problem.prediction is not None or problem.jumps is not None:
+        what = "the actuator predicts" if problem.prediction is not None else "the plant has jumps"
+        raise ProblemError(
+            f"{what}, and packets arrive at random within a period; expected delays of whole periods, or a buffer"
+        )
+    if not problem.sampled:
+        raise ProblemError(
+            "a link has a delay in seconds, but the plant is discrete in time; expected a whole number of steps, or a "
+            "plant that is continuous in time (omit plant.dt)"
+        )
+    whole = cuts_of(plant, problem.tick, cuts)
+    return pieces_of(_by_pieces(plant, cost, problem.tick, whole), plant, whole)
+
+
+def _cuts(plant: Plant | ContinuousPlant, period: float | None) -> tuple[float, ...]:
+    """Return the parts of a period at which the input that acts changes."""
     if plant.transport is None:
-        return None
+        return (0.0,)
     if isinstance(plant, ContinuousPlant):
-        return None if period is None else parts_of(plant, number("period", period, 0.0))
+        return (0.0,) if period is None else cuts_of(plant, number("period", period, 0.0))
     seconds = [wait.seconds for wait in (*plant.transport.inputs, *plant.transport.outputs) if wait.seconds]
     if seconds:
         raise ProblemError(
             f"a link has a delay of {seconds[0]:g} seconds, but the plant is discrete in time; expected a whole number "
             "of steps, or a plant that is continuous in time (omit plant.dt)"
         )
-    return None
+    return (0.0,)
 
 
 BEYOND = 1e-9  # rounding of an input at its limit
@@ -473,11 +520,11 @@ def moved_inputs(U: Array, S: Array) -> Array:
 
 
 def joined(
-    base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem, parts: tuple[float, ...] | None = None
+    base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem, cuts: tuple[float, ...] = (0.0,)
 ) -> Discrete:
     """Extend the state of a problem by an exosystem d. Its cost then weights deviations from targets that d sets."""
     plant, e = base.plant, exosystem
-    n, q, m = plant.states, len(e.S), plant.inputs  # with parts, the inputs are twice those of the source
+    n, q, m = plant.states, len(e.S), plant.inputs  # with several pieces, m is a multiple of the source's inputs
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W, noise_cost, instants, exact, own = block_diagonal(source.W, e.W), base.noise_cost, False, None, None
     stage = np.block([[base.Q, base.N], [base.N.T, base.R]])
@@ -496,11 +543,11 @@ def joined(
             )
         k = source.inputs
         B, none = np.vstack([source.B, np.zeros((q, k))]), np.zeros((n + q, n + q))
-        sampled = sample(A, B, none, np.zeros((k, k)), np.zeros((n + q, k)), W, base.tick, parts=parts)
+        sampled = sample(A, B, none, np.zeros((k, k)), np.zeros((n + q, k)), W, base.tick, cuts=cuts)
         A, W, exact = sampled.A, sampled.W, sampled.exact
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
-        if instants and parts is not None:
+        if instants and len(cuts) > 1:
             raise ProblemError(
                 "an input acts a part of a period late, and a disturbance changes the input that it needs between "
                 "samples; expected delays of whole periods, or a disturbance that is constant between samples"
@@ -509,8 +556,8 @@ def joined(
             X, U = _equations(plant, replace(e, S=A[n:, n:], E=A[:n, n:]), base)
             noise_cost = 0.0
         else:
-            within = _within_a_period(source, e, base.cost, X, U, given, base.tick, parts)
-            U = U if parts is None else np.vstack([U, U])
+            within = _within_a_period(source, e, base.cost, X, U, given, base.tick, cuts)
+            U = np.tile(U, (len(cuts), 1))
             own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
@@ -566,7 +613,7 @@ def _within_a_period(
     U: Array,
     given: int,
     period: float,
-    parts: tuple[float, ...] | None,
+    cuts: tuple[float, ...],
 ) -> Sampled:
     """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are
     used.
@@ -580,7 +627,7 @@ def _within_a_period(
     D = np.hstack([np.zeros((m, n)), -moved_inputs(U, e.S)])
     B, N = (np.vstack([part, np.zeros((q, m))]) for part in (plant.B, cost.N))
     A, Q = block_diagonal(plant.A, e.S), block_diagonal(cost.Q, rest)
-    return sample(A, B, Q, cost.R, N, W, period, D, parts)
+    return sample(A, B, Q, cost.R, N, W, period, D, cuts)
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:
@@ -593,7 +640,7 @@ def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError
     )
 
 
-def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
+def _expect_reached(plant: Plant | ContinuousPlant, U: Array, exosystem: Exosystem) -> None:
     """Raise an error if a set-point, at the start or of a timetable, needs an input beyond its limits."""
     limit, changes, points = plant.input_limit, exosystem.changes, exosystem.start[None]
     if limit is None:
@@ -618,3 +665,92 @@ def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continu
             f"({len(exosystem.G)}); expected disturbances with different effects on the outputs, and at most as many "
             "constant disturbances as outputs: remove a disturbance, or add a sensor"
         )
+
+
+def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
+    """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
+    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
+    takes = found.taking(before.C)
+    own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
+    exact = problem.exact and Exact(Extended(problem.exact, n, found, takes))
+    if own is not None:
+        own = in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
+    plant = registered(before, source, found)
+    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
+
+
+def pieces_of(problem: Discrete, source: Plant | ContinuousPlant, cuts: tuple[float, ...]) -> Pieces:
+    """Return a problem, whose inputs are those that act, with a command for each piece; registers hold the last one."""
+    n, found = source.states, registers_of(source, problem.tick, cuts)
+    kept, new = placed(problem.plant.states, n, len(found.S))
+    m, q, z = found.P.shape[1], len(cuts), new @ found.Gz.T
+    direct = np.zeros((q * m, q * m))
+    for piece in range(q):
+        rows = slice(piece * m, (piece + 1) * m)
+        direct[rows, rows] = found.Gu[rows]
+    last = np.hstack([np.zeros((m, (q - 1) * m)), np.eye(m)])
+    B, N, R = problem.plant.B, problem.N, problem.R
+    return Pieces(
+        cuts,
+        frozen(kept @ B @ direct + new @ found.P @ last),
+        frozen(kept @ N @ direct + z @ R @ direct),
+        frozen(direct.T @ R @ direct),
+    )
+
+
+def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
+    """Raise an error if an output is so large that rounding hides how it depends on the state.
+
+    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
+    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
+    innovation, it changes the cost by less than its stated tolerance of 1e-6.
+    """
+    plant, keep = problem.plant, problem.decaying
+    fed = np.zeros(plant.states, dtype=np.bool_)
+    fed[registers_from(problem) : registers_from(problem) + len(plant.registers)] = True
+    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
+    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
+    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
+        return
+    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
+    if point is not None:
+        size += np.abs(point.u[[*plant.registers]])
+    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
+    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
+    worst = int(np.argmax(rounded - BLUR * told))
+    if rounded[worst] > BLUR * told[worst] > 0:
+        shown = plant.C[worst, fed]
+        raise ProblemError(
+            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
+            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
+            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
+            "innovation: measure this output without the input, or leave it out"
+        )
+
+
+def with_same_start(problem: Discrete, model: Plant) -> Discrete:
+    """Set the initial values of a problem's registers of inputs to those of the plant ``model`` of a design."""
+    plant, place = problem.plant, registers_from(problem)
+    before = np.zeros(plant.inputs)
+    for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
+        before[[*registers]] = mean[place : place + len(registers)]
+    return replace(problem, plant=with_inputs_before(plant, place, before))
+
+
+def registers_from(problem: Discrete) -> int:
+    """Return the index of the first register among the states of a problem."""
+    return problem.plant.stated if problem.source is None else problem.source.states
+
+
+def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
+    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
+    point, place, plant = model.operating_point, registers_from(problem), problem.plant
+    held = model.registers, model.stored
+    if point is None or held == (plant.registers, plant.stored):
+        return point
+    x = np.delete(point.x, slice(place, place + len(model.registers) + len(model.stored)))
+    at = OperatingPoint(x, point.u)
+    source = problem.source
+    if source is None or not (plant.registers or plant.stored):
+        return at
+    return rest_with(at, place, registers_of(source, problem.tick), source)

@@ -22,6 +22,7 @@ import numpy as np
 from taciturn._arrays import Array, block_diagonal
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, moved_inputs
+from taciturn.lqg.registers import cuts_of, registers_of
 from taciturn.lqg.sampling import sample
 from taciturn.model.load import SampledLoads
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -36,6 +37,11 @@ def with_loads(problem: Discrete, plant: Plant | ContinuousPlant) -> Discrete:
         raise ProblemError(
             "[[disturbance]] states a load, and the actuator predicts between sampling instants; expected a policy "
             "that holds its input, or no load"
+        )
+    if problem.pieces is not None:
+        raise ProblemError(
+            "[[disturbance]] states a load, and packets arrive at random within a period; expected delays of whole "
+            "periods, a buffer, or no load"
         )
     n, m, p, period = problem.plant.states, problem.plant.inputs, problem.plant.outputs, problem.tick
     rows = 1 + int(max(one.steps(period)[-1] for one in loads))
@@ -61,7 +67,7 @@ def with_loads(problem: Discrete, plant: Plant | ContinuousPlant) -> Discrete:
 
 def _within_a_period(problem: Discrete, plant: Plant | ContinuousPlant, E: Array) -> tuple[Array, Array]:
     """Return the effect of loads on the next state, (n, r), and the entries of the cost for (x, u, ℓ) and ℓ."""
-    total, m, r, n = problem.plant.states, problem.plant.inputs, E.shape[1], len(plant.A)
+    total, m, r, n, period = problem.plant.states, problem.plant.inputs, E.shape[1], len(plant.A), problem.tick
     nothing = np.zeros((total + m + r, r))
     if isinstance(plant, Plant) or not r:
         return E, nothing
@@ -75,14 +81,16 @@ def _within_a_period(problem: Discrete, plant: Plant | ContinuousPlant, E: Array
     A[:n, n + q :] = E
     B, N = (np.vstack([part, np.zeros((q + r, m))]) for part in (plant.B, cost.N))
     Q, none = block_diagonal(cost.Q, np.zeros((q + r, q + r))), np.zeros((n + q + r + m * bool(q),) * 2)
-    found = sample(A, B, Q, cost.R, N, none, problem.tick, drift if q else None)
+    cuts, held = cuts_of(plant, period), registers_of(plant, period)
+    found = sample(A, B, Q, cost.R, N, none, period, drift if q else None, cuts)
     moves = found.A[:n, n + q :]
     if problem.instants:
         return moves, nothing
     # the form in (ξ, d, ℓ, μ) as one in (x, u, ℓ)
     stage = np.block([[found.Q, found.N], [found.N.T, found.R]])
-    turned = np.zeros((n + q + r + m, total + m + r))
+    turned = np.zeros((n + q + r + m * len(cuts), total + m + r))
     turned[: n + q, :total] = T[keep]
     turned[n + q : n + q + r, total + m :] = np.eye(r)
-    turned[n + q + r :, :total], turned[n + q + r :, total : total + m] = -U, np.eye(m)
+    turned[n + q + r :, :total], turned[n + q + r :, total : total + m] = -np.tile(U, (len(cuts), 1)), held.Gu
+    turned[n + q + r :, n : n + len(held.S)] += held.Gz
     return moves, (turned.T @ stage @ turned)[:, total + m :]

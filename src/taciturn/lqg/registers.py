@@ -3,14 +3,16 @@
 An input that acts d + r periods after it was commanded, with a whole number d and 0 ≤ r < 1, acts from kh + rh on until
 the next one does. Within a period, the input before it acts first,
 
-    b = u_{k−d−1} in [0, r),   a = u_{k−d} in [r, 1)   (in periods),
+    u_{k−d−1} in [0, r),   u_{k−d} in [r, 1)   (in periods),
 
-for which ``sample`` integrates plant and cost exactly, as a problem with the inputs (b, a). Chains of registers hold
-the commands, z₁⁺ = u, z₂⁺ = z₁, …, so (b, a) = G_z z + G_u u, and the problem in (x, z) and u has
+The parts r of all inputs cut a period into pieces, for which ``sample`` integrates plant and cost exactly, as a problem
+whose inputs are those of each piece, a = (a_0, a_1, …). Chains of registers hold the commands, z₁⁺ = u, z₂⁺ = z₁, …, so
+a = G_z z + G_u u, and the problem in (x, z) and u has
 
     x⁺ = A x + B (G_z z + G_u u) + w,   stage [x; G_z z + G_u u]' M [x; G_z z + G_u u],
 
-in general with a cross term between z and u. A sensor takes its sample before the input changes, so y_k = C x_k +
+in general with a cross term between z and u. If packets arrive at random times, another input u_i may act in each piece
+(``Pieces``). A sensor takes its sample before the input changes, so y_k = C x_k +
 D û_{k−1} + v_k shows the input that acts just then, which is in a register as well (with r = 0: z_{d+1}).
 
 An output that is o steps older than others has registers of its own, of the measurement and not of Cx: the noise v is
@@ -28,37 +30,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
-from taciturn._modes import closure, summed
+from taciturn._modes import closure
 from taciturn.errors import ProblemError
-from taciturn.lqg.enclosures import UNIT, E, block
+from taciturn.lqg.enclosures import E, block
 from taciturn.lqg.followed import Followed
-from taciturn.lqg.kalman import Filter
 from taciturn.lqg.quadratic import Quadratic, placed
 from taciturn.lqg.sampling import Exact, Step
+from taciturn.model.delay import WHOLE
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from, derived_plant
 
-if TYPE_CHECKING:
-    from taciturn.lqg.discrete import Discrete
-
-BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 MOST = 200  # registers of a plant
 
 
 class Registers(NamedTuple):
-    """Registers next to a plant of m inputs and p outputs: (b, a) = G_z z + G_u u and z⁺ = S z + P u + noise."""
+    """Registers of a plant with m inputs and p outputs, for q pieces of a period: a = G_z z + G_u u, z⁺ = S z + P u."""
 
     S: Array  # (r, r)
     P: Array  # (r, m)
-    Gz: Array  # inputs that act, of the registers: (m, r), or (2m, r) for (b, a)
-    Gu: Array  # inputs that act, of the command: (m, m) or (2m, m)
+    Gz: Array  # inputs that act in each piece, of the registers, (qm, r)
+    Gu: Array  # inputs that act in each piece, of the command, (qm, m)
     shown: Array  # outputs of the registers, (p, r)
     old: tuple[tuple[int, int], ...]  # outputs that are old, each with the register that takes it up
     V: Array  # noise of the outputs that remains, (p, p)
@@ -82,16 +80,14 @@ def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
     return [] if plant.D is None else np.flatnonzero(plant.D.any(axis=0)).tolist()
 
 
-def parts_of(plant: Plant | ContinuousPlant, period: float) -> tuple[float, ...] | None:
-    """Return the part of a period that each input waits before it acts; None if all wait whole periods."""
-    if plant.transport is None:
-        return None
-    acts = plant.transport.periods(period)[0]
-    parts = acts - np.floor(acts)
-    return tuple(parts.tolist()) if parts.any() else None
+def cuts_of(plant: Plant | ContinuousPlant, period: float, cuts: Sequence[float] = ()) -> tuple[float, ...]:
+    """Return the parts of a period from which on another input may act: those of late inputs, and further ones."""
+    acts = np.zeros(0) if plant.transport is None else plant.transport.periods(period)[0]
+    parts = sorted({0.0, *cuts, *(acts - np.floor(acts)).tolist()})
+    return tuple(part for i, part in enumerate(parts) if i == 0 or part - parts[i - 1] > WHOLE)
 
 
-def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
+def registers_of(source: Plant | ContinuousPlant, period: float, cuts: Sequence[float] = ()) -> Registers:
     """Return the registers that delays and a direct feedthrough of a plant need."""
     m, p, fed = source.inputs, len(source.C), fed_inputs(source)
     acts, older = (np.zeros(m), (0,) * p) if source.transport is None else source.transport.periods(period)
@@ -109,18 +105,20 @@ def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
     r = noisy + len(noises)
     if r > MOST:
         _refuse(str(r))
-    S, P, Gz, Gu, before = np.zeros((r, r)), np.zeros((r, m)), np.zeros((m, r)), np.zeros((m, m)), np.zeros((m, r))
+    S, P, ahead, before = np.zeros((r, r)), np.zeros((r, m)), np.zeros((m, r)), np.zeros((m, r))
+    direct = np.diag((whole == 0).astype(np.float64))
     for i, depth in enumerate(depths):
         place = int(first[i])
         if depth:
             P[place, i] = 1.0
             S[range(place + 1, place + depth), range(place, place + depth - 1)] = 1.0
         if whole[i]:
-            Gz[i, place + whole[i] - 1] = 1.0
-        else:
-            Gu[i, i] = 1.0
+            ahead[i, place + whole[i] - 1] = 1.0
         if depth > whole[i]:
             before[i, place + whole[i]] = 1.0
+    waits = [(parts > cut + WHOLE)[:, None] for cut in cuts_of(source, period, cuts)]  # by piece, for the last command
+    Gz = np.vstack([np.where(wait, before, ahead) for wait in waits])
+    Gu = np.vstack([np.where(wait, 0.0, direct) for wait in waits])
     shown, V, W = np.zeros((p, r)), source.V.copy(), np.zeros((r, r))
     if source.D is not None:
         shown += source.D @ before
@@ -135,9 +133,6 @@ def registers_of(source: Plant | ContinuousPlant, period: float) -> Registers:
         shown[j] = np.eye(r)[begins[j + 1] - 1]
     W[np.ix_(begins[old], begins[old])] = V[np.ix_(old, old)]
     V[old], V[:, old] = 0.0, 0.0
-    if parts.any():
-        waits = parts[:, None] > 0
-        Gz, Gu = np.vstack([np.where(waits, before, Gz), Gz]), np.vstack([np.where(waits, 0.0, Gu), Gu])
     took = tuple((j, int(begins[j])) for j in old)
     late = tuple(int(d) for d in whole)
     return Registers(S, P, Gz, Gu, shown, took, V, W, inputs, outputs, tuple(noises), ages, late)
@@ -158,19 +153,17 @@ def _correlated(V: Array, older: Sequence[int]) -> list[int]:
     return np.flatnonzero(closure(apart, joint)).tolist() if apart.any() else []
 
 
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
-    """Extend a problem, whose inputs are those that act, by the registers of late inputs and old outputs."""
-    n, found, before = source.states, registers_of(source, problem.tick), problem.plant
-    takes = found.taking(before.C)
-    own, whole = problem.deviations, extend(problem.quadratic, n, found, takes)
-    exact = problem.exact and Exact(_Extended(problem.exact, n, found, takes))
-    if own is not None:
-        own = _in_deviations(own, n, found, before.A, source.inputs, np.where(own.states, 0.0, takes))
-    plant = registered(before, source, found)
-    return replace(problem, plant=plant, Q=whole.Q, R=whole.R, N=whole.N, exact=exact, deviations=own, source=source)
+@dataclass(frozen=True, eq=False, repr=False)
+class Pieces(Displayed):
+    """A problem whose input may be another one in each piece of a period: u_0, u_1, …, one after the other."""
+
+    cuts: tuple[float, ...]  # the parts of a period at which the pieces begin
+    B: Array  # (n, qm)
+    N: Array  # weights of the step, with Q of the problem: (n, qm) and (qm, qm)
+    R: Array
 
 
-def _in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: int, takes: Array) -> Followed:
+def in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: int, takes: Array) -> Followed:
     """Extend a problem in deviations. A register of an input deviates from the value that the signals then need."""
     kept, new = placed(len(own.T), n, len(found.S))
     d = own.states
@@ -190,7 +183,7 @@ def _in_deviations(own: Followed, n: int, found: Registers, A: Array, inputs: in
         T=kept @ own.T @ kept.T + new @ new.T - new @ offsets @ kept[:, d].T,
         U=U @ kept.T,
         problem=extend(own.problem, n, found, takes),
-        exact=own.exact and Exact(_Extended(own.exact, n, found, takes)),
+        exact=own.exact and Exact(Extended(own.exact, n, found, takes)),
     )
 
 
@@ -209,7 +202,7 @@ def extend(given: Quadratic, place: int, by: Registers, takes: Array) -> Quadrat
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Extended(Displayed):
+class Extended(Displayed):
     """The problem of ``extend`` in any arithmetic, with the noise of the registers."""
 
     exact: Exact
@@ -259,10 +252,10 @@ def registered(plant: Plant, source: Plant | ContinuousPlant, found: Registers) 
     )  # fmt: skip
     more: dict[str, object] = {"changes": plant.changes, "registers": found.inputs}
     more |= {"stored": (*found.outputs, *found.noises), "alone": source if isinstance(source, Plant) else None}
-    return counted_from(altered(result, more), plant, lambda at: _point(at, n, found, source))
+    return counted_from(altered(result, more), plant, lambda at: rest_with(at, n, found, source))
 
 
-def _point(at: OperatingPoint, n: int, found: Registers, source: Plant | ContinuousPlant) -> OperatingPoint:
+def rest_with(at: OperatingPoint, n: int, found: Registers, source: Plant | ContinuousPlant) -> OperatingPoint:
     """Return an operating point with the values of the registers at rest."""
     return OperatingPoint(np.insert(at.x, [n] * len(found.S), resting(at, n, found, source)), at.u)
 
@@ -273,69 +266,11 @@ def resting(at: OperatingPoint, n: int, found: Registers, source: Plant | Contin
     return np.concatenate([at.u[[*found.inputs]], outputs[[*found.outputs]], np.zeros(len(found.noises))])
 
 
-def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
-    """Raise an error if an output is so large that rounding hides how it depends on the state.
-
-    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
-    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
-    innovation, it changes the cost by less than its stated tolerance of 1e-6.
-    """
-    plant, keep = problem.plant, problem.decaying
-    fed = np.zeros(plant.states, dtype=np.bool_)
-    fed[registers_from(problem) : registers_from(problem) + len(plant.registers)] = True
-    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
-    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
-    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
-        return
-    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
-    if point is not None:
-        size += np.abs(point.u[[*plant.registers]])
-    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
-    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
-    worst = int(np.argmax(rounded - BLUR * told))
-    if rounded[worst] > BLUR * told[worst] > 0:
-        shown = plant.C[worst, fed]
-        raise ProblemError(
-            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
-            f"{worst + 1} so much that y − D u has a rounding error of {rounded[worst]:.2g} in double precision; "
-            f"expected a rounding error of at most {BLUR:g} times {told[worst]:.2g}, the standard deviation of the "
-            "innovation: measure this output without the input, or leave it out"
-        )
-
-
-def with_same_start(problem: Discrete, model: Plant) -> Discrete:
-    """Set the initial values of a problem's registers of inputs to those of the plant ``model`` of a design."""
-    plant, place = problem.plant, registers_from(problem)
-    before = np.zeros(plant.inputs)
-    for registers, mean in ((plant.registers, plant.mean), (model.registers, model.mean)):
-        before[[*registers]] = mean[place : place + len(registers)]
-    return replace(problem, plant=with_inputs_before(plant, place, before))
-
-
 def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
     """Set the initial values of a plant's registers, which begin at state ``place``, to the given inputs, (m,)."""
     mean = plant.mean.copy()
     mean[place : place + len(plant.registers)] = before[[*plant.registers]]
     return altered(plant, {"mean": frozen(mean)})
-
-
-def registers_from(problem: Discrete) -> int:
-    """Return the index of the first register among the states of a problem."""
-    return problem.plant.stated if problem.source is None else problem.source.states
-
-
-def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
-    """Return the operating point of the plant ``model``, for a problem with other registers among its states."""
-    point, place, plant = model.operating_point, registers_from(problem), problem.plant
-    held = model.registers, model.stored
-    if point is None or held == (plant.registers, plant.stored):
-        return point
-    x = np.delete(point.x, slice(place, place + len(model.registers) + len(model.stored)))
-    at = OperatingPoint(x, point.u)
-    source = problem.source
-    if source is None or not (plant.registers or plant.stored):
-        return at
-    return _point(at, place, registers_of(source, problem.tick), source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

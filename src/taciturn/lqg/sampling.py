@@ -26,7 +26,7 @@ from typing import Generic, NamedTuple, Protocol, cast
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, symmetrised
+from taciturn._arrays import Array, ArrayLike, block_diagonal, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import balancing, pace
 from taciturn._rational import precision
@@ -163,7 +163,7 @@ def sample(
     W: ArrayLike,
     period: float,
     moved: ArrayLike | None = None,
-    parts: Sequence[float] | None = None,
+    cuts: Sequence[float] = (0.0,),
 ) -> Sampled:
     """Convert a continuous-time LQ problem to discrete time; the input is held from one sample to the next.
 
@@ -186,8 +186,8 @@ def sample(
             these move.
         period: h > 0, in the same unit of time.
         moved: D, (m, n), how the states move the inputs, per unit of time; omitted: the inputs are held.
-        parts: part of the period, in [0, 1), after which each input changes, (m,). The inputs of the sampled problem
-            are then those before the change, followed by those after it. Omitted: inputs change at the samples.
+        cuts: parts of the period, increasing from 0 and below 1, from which on an input may be another one. The inputs
+            of the sampled problem are those of each of these pieces, one after the other. Default: one piece.
 
     Returns:
         The sampled problem, to the precision of its entries; ``exact`` encloses it.
@@ -218,22 +218,18 @@ def sample(
     reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    if parts is None:
-        F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
-        return sampled(_Integrated((F,), (M,), (period,), G, units, n), n + m, source)
-    share = np.array(parts)
-    cuts = np.unique(np.concatenate([[0.0], share, [1.0]]))
-    twice: Array = np.vstack([np.eye(n + m), np.pad(np.eye(m), ((0, 0), (n, 0)))])  # both inputs move alike
-    dynamics, weights = list[Array](), list[Array]()
-    for begin in cuts[:-1]:
-        after = np.diag((share <= begin).astype(np.float64))
-        acts = np.block([[np.eye(n), np.zeros((n, 2 * m))], [np.zeros((m, n)), np.eye(m) - after, after]])
-        dynamics.append(np.block([[np.hstack([A, B]) @ acts], [np.vstack([D, D]), np.zeros((2 * m, 2 * m))]]))
+    pieces = len(cuts)
+    same: Array = np.tile(np.eye(m), (pieces, 1))  # the inputs of all pieces move alike
+    noise, dynamics, weights = block_diagonal(np.eye(n), same), list[Array](), list[Array]()
+    for piece in range(pieces):
+        acts = block_diagonal(np.eye(n), np.eye(pieces * m)[piece * m : (piece + 1) * m])
+        moves = np.hstack([same @ D, np.zeros((pieces * m, pieces * m))])
+        dynamics.append(np.vstack([np.hstack([A, B]) @ acts, moves]))
         weights.append(acts.T @ np.block([[Q, N], [N.T, R]]) @ acts)
-    units = np.concatenate([units, units[n:]])
-    lasts = tuple((np.diff(cuts) * period).tolist())
-    build = _Integrated(tuple(dynamics), tuple(weights), lasts, twice @ G @ twice.T, units, n)
-    return sampled(build, n + 2 * m, source)
+    units = np.concatenate([units[:n], np.tile(units[n:], pieces)])
+    lasts = tuple((np.diff([*cuts, 1.0]) * period).tolist())
+    build = _Integrated(tuple(dynamics), tuple(weights), lasts, noise @ G @ noise.T, units, n)
+    return sampled(build, n + pieces * m, source if pieces == 1 else None)
 
 
 def sample_prediction(

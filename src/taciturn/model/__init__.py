@@ -14,7 +14,8 @@ memory. A packet that is read before it is sent is the packet of the previous st
 
 Read the modules in this order:
 
-1. ``plant``, ``dynamics``, ``cost``, ``controller``, ``network``, ``link``, ``losses``: the problem. ``signals``:
+1. ``plant``, ``dynamics``, ``cost``, ``controller``, ``network``, ``link``, ``losses``, ``delay``: the problem.
+   ``transport``: constant delays of links as delays of the plant. ``signals``:
    disturbances and set-points, ``load``: loads; ``disturbance`` joins them to a plant. ``operating_point``,
    ``saturation``, ``limits``: the point from which a plant counts, limits of its inputs, and limits of its states that
    are watched. ``names``: of its states, inputs and outputs. ``noise``: W and V by the amplitudes of the noise at

@@ -65,7 +65,7 @@ POINT = names("operating_point", "x u") | {"plant.operating_point"}
 # inputs are limited
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit names") | POINT
 # a constant delay is a property of the plant, with registers as its states; any other one is a law of the link
-REGISTERS = names("Transport", "inputs outputs") | {
+REGISTERS = names("Transport", "inputs outputs certain") | {
     f"plant.{name}" for name in ("D", "registers", "transport", "stored")
 }
 ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at
@@ -112,6 +112,8 @@ BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
+# random delays of packets, of which a sender with acknowledgements learns the time of arrival
+LATE = names("DelayLaw", "waits odds in_seconds sequence block") | names("Acted", "link age piece") | {"links.delay"}
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
 LINEAR_LOOP = LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
@@ -145,7 +147,7 @@ class Coverage(Displayed):
         return f"{given} is given, which {self.refusal}; expected {remedy}"
 
 
-SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
+SIMULATED = Coverage(LOOPS | LATE, "designs and simulations do not model")
 
 
 def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:

@@ -43,6 +43,7 @@ MOST_BYTES = 2**24  # of a file of delays
 MOST_PACKETS = 100_000  # of a trace
 SUMS = 1e-9  # largest excess over 1 of a sum of probabilities
 MANY = 1e9  # periods of a delay, more than any loop may have
+MOST_PIECES = 16  # parts of a period that random delays distinguish; those between are rounded
 WHOLE = 1e-9  # part of a period below which a delay is a whole number of periods
 KEYS = ("seconds", "probability", "histogram", "trace", "states")
 HEADERS: Mapping[str, tuple[str, str]] = {"histogram": ("milliseconds", "probability"), "trace": ("sent", "delay")}
@@ -87,6 +88,7 @@ class DelayLaw(Displayed):
     odds: tuple[tuple[float, ...], ...]  # their probabilities, one row for each state of the link
     in_seconds: bool = False  # whether delays are in seconds, or in whole steps
     sequence: tuple[int, ...] = ()  # of a trace: the delay of each packet as an index of ``waits``; their number: lost
+    block: float = 1.0  # mean number of packets of a trace that are replayed in turn
 
     @property
     def constant(self) -> Wait | None:
@@ -149,10 +151,39 @@ class DelayLaw(Displayed):
         """Return the probability of each delay, for the shares of the states of the link; default: equal ones."""
         return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
 
-    def mean(self, shares: Sequence[float] = ()) -> float:
-        """Return the mean delay of the packets that arrive, in steps or seconds."""
+    @property
+    def mean(self) -> float:
+        """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
+        return self.mean_by(())
+
+    def mean_by(self, shares: Sequence[float]) -> float:
+        """Return the mean delay of the packets that arrive, for the shares of the states of the link."""
         weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
+
+    @property
+    def expected(self) -> Wait:
+        """The mean delay of the packets that arrive, as a constant delay: seconds, or the nearest number of steps."""
+        return Wait(0, self.mean) if self.in_seconds else Wait(round(self.mean))
+
+    def in_periods(self, period: float) -> DelayLaw:
+        """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
+        waits = np.array(self.waits) / (period if self.in_seconds else 1.0)
+        whole = np.round(waits)
+        waits = np.where(np.abs(waits - whole) <= WHOLE, whole, waits)
+        parts = waits - np.floor(waits)
+        if len(np.unique(parts.round(9))) > MOST_PIECES:
+            waits = np.floor(waits) + np.round(parts * MOST_PIECES) / MOST_PIECES
+        found, places = np.unique(waits.round(12), return_inverse=True)
+        odds = np.zeros((len(self.odds), len(found)))
+        for column, place in enumerate(places.ravel().tolist()):
+            odds[:, place] += np.array(self.odds)[:, column]
+        renamed = [*places.ravel().tolist(), len(found)]
+        rows = tuple(tuple(row) for row in odds.tolist())
+        return replace(
+            self, waits=tuple(found.tolist()), odds=rows, in_seconds=False,
+            sequence=tuple(renamed[one] for one in self.sequence),
+        )  # fmt: skip
 
     def text(self, shares: Sequence[float] = ()) -> str:
         """Describe the law in a few words, for the shares of the states of the link; default: equal ones."""
@@ -165,13 +196,19 @@ class DelayLaw(Displayed):
         if len(self.waits) == 1:
             return f"{low}{lost}"
         how = "measured" if self.sequence else "by the state of the link" if len(self.odds) > 1 else "random"
-        average = self.mean(shares)
+        average = self.mean_by(shares)
         mean = f"{average * 1e3:.4g} ms" if self.in_seconds else f"{average:.4g} steps"
         return f"{how}, {low} to {high}, mean {mean}{lost}"
 
     def short(self) -> str:
         """Describe the law in a few words, for the display of a link."""
         return self.text()
+
+    def averaged(self, shares: Array) -> DelayLaw:
+        """Return the law of a link whose states have these shares of the steps, without its states."""
+        if len(self.odds) == 1:
+            return self
+        return replace(self, odds=(tuple((shares @ np.array(self.odds)).tolist()),))
 
     def of_states(self, states: int) -> DelayLaw:
         """Return the law with a row for each of ``states`` states of the link."""
@@ -237,9 +274,7 @@ def _of_table(name: str, table: Mapping[str, object]) -> DelayLaw:
         return _of_states(name, cast("object", value))
     if form in ("histogram", "trace"):
         if not isinstance(value, str):
-            raise ProblemError(
-                f"{name}.{form} is {quoted(cast('object', value))}; expected the name of a file in quotes"
-            )
+            raise ProblemError(f"{name}.{form} is {quoted(table[form])}; expected the name of a file in quotes")
         rows = _numbers(f"{name}.{form}", value, form)
         named = f"{name}.{form} {value!r}"
         return _of_histogram(named, rows) if form == "histogram" else _of_trace(named, rows)
@@ -340,7 +375,8 @@ def _of_trace(name: str, rows: Array) -> DelayLaw:
     found: Array = np.where(came, delays, 0.0)
     places = np.where(came, np.searchsorted(waits, found), len(waits))
     counts = np.bincount(places, minlength=len(waits) + 1)[:-1] / len(places)
-    return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()))
+    block = max(1.0, round(len(places) ** (1 / 3)))  # the order at which bias and variance of a mean balance
+    return DelayLaw(tuple(waits.tolist()), (tuple(counts.tolist()),), True, tuple(places.tolist()), block)
 
 
 def _numbers(name: str, path: str, form: str) -> Array:
@@ -399,6 +435,42 @@ def _is_number(cell: str) -> bool:
         return isfinite(float(cell.replace("_", "?")))
     except ValueError:
         return False
+
+
+@dataclass(frozen=True, repr=False)
+class Transport(Displayed):
+    """The constant delays after which each input of a plant acts, and with which each output is read."""
+
+    inputs: tuple[Wait, ...]
+    outputs: tuple[Wait, ...]
+    certain: Transport | None = None  # the delays that are constant, if others are the mean of random ones
+
+    @staticmethod
+    def of(inputs: Sequence[Wait], outputs: Sequence[Wait]) -> Transport | None:
+        """Return the delays, or None if all are 0."""
+        return Transport(tuple(inputs), tuple(outputs)) if any(map(any, (*inputs, *outputs))) else None
+
+    def periods(self, period: float) -> tuple[Array, tuple[int, ...]]:
+        """Return after how many periods each input acts, (m,), and by how many steps each output is older than the
+        newest.
+        """
+        read = [wait.periods(period) for wait in self.outputs]
+        part = max((wait % 1.0 for wait in read), default=0.0)
+        steps = [int(wait // 1) for wait in read]
+        least = min(steps, default=0)
+        acts = np.array([wait.periods(period) for wait in self.inputs]) + (least + part)
+        whole = np.round(acts)
+        return np.where(np.abs(acts - whole) <= WHOLE, whole, acts), tuple(one - least for one in steps)
+
+    def text(self) -> str:
+        """Describe the delays in a few words."""
+        named = {"input": self.inputs, "output": self.outputs}
+        found = [(name, i, wait) for name, waits in named.items() for i, wait in enumerate(waits, start=1) if any(wait)]
+        return ", ".join(f"{name} {i} {wait.text()} late" for name, i, wait in found)
+
+    def short(self) -> str:
+        """Describe the delays in a few words."""
+        return self.text()
 
 
 def check_delay(law: Any, name: str = "delay") -> DelayLaw | None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from taciturn._diagram import FIXED, Box, Wire, draw_star, glued
 from taciturn._display import Displayed
 from taciturn._text import folded, number_text, percent
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.link import IDEAL_LINK, LinkLaw
 from taciturn.model.network import REFERENCE, entry_numbers, symbols_text
 from taciturn.model.rule import Rule, listed, rule_of, step_seconds, timetable
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 WIDTH = 80  # columns of the diagram as text, which is laid out once, for every terminal
-DRAWN = Coverage(LOOPS, "diagrams do not show")
+DRAWN = Coverage(LOOPS | LATE, "diagrams do not show")
 When = Literal["always", "decision", "schedule"]
 ESTIMATING = {"innovation", "own", "seen"}  # signals by which a node estimates the state
 FILTERING = {"part", "local"}  # signals by which a sensor filters its measurements

@@ -23,13 +23,14 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
-from taciturn.model.coverage import INTERVALS, STEPS, TRACKING, Coverage
-from taciturn.model.network import IDEAL_LINK, LATE, PROTOCOL, Network
+from taciturn.model.coverage import INTERVALS, LATE, STEPS, TRACKING, Coverage
+from taciturn.model.network import LATE_LOSS, PROTOCOL, Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import Policy, at_rest
 from taciturn.model.steps import (
     ONE,
     Acknowledged,
+    Acted,
     Apply,
     Assign,
     Condition,
@@ -44,7 +45,7 @@ from taciturn.model.steps import (
 )
 from taciturn.model.trigger import Form, Scheduled
 
-INFORMED = Coverage(STEPS | TRACKING | INTERVALS, "the check of the information pattern does not know")
+INFORMED = Coverage(STEPS | TRACKING | INTERVALS | LATE, "the check of the information pattern does not know")
 Site: TypeAlias = frozenset[str]
 
 
@@ -70,6 +71,8 @@ def check_network(policy: Policy, network: Network) -> None:
                 f"{kept[name]}; expected the limits of the design, or the loop that `close` returns, whose policy "
                 "keeps the limits of the network"
             )
+    for link in network.late:
+        _expect_held(policy, network, link)
     packet_shapes(policy, network)
     _expect_within_ranges(policy, network)
     carrying = links_of(policy)
@@ -85,42 +88,63 @@ def check_network(policy: Policy, network: Network) -> None:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
                 f"{stated[0]} is given, but no node of the policy {policy.kind} receives a packet on the {link} link; "
-                f"expected properties of {others or 'no link'} only: remove {stated[0].removeprefix(LATE)}"
+                f"expected properties of {others or 'no link'} only: remove {stated[0].removeprefix(LATE_LOSS)}"
             )
+
+
+def _expect_held(policy: Policy, network: Network, link: str) -> None:
+    """Raise an error unless packets of a link with random delays only replace a value that the receiver holds."""
+    key = network.key(link, "delay")
+    others = [location.on for location in policy.locations]
+    others += [step.on for step in policy.steps if isinstance(step, Evaluate)]
+    taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
+    sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
+    if sent is None or link not in links_of(policy):
+        raise ProblemError(
+            f"{key} is random, but no node of the policy {policy.kind} receives a packet on the {link} link; expected "
+            f"a constant delay, or {network.key(link, 'buffer')}, with which the samples or inputs are late"
+        )
+    by = [step.signal for step in policy.steps if isinstance(step, Assign)]
+    held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
+    if not held or any(policy.steps.index(step) < sent for step in taken):
+        raise ProblemError(
+            f"{key} is random, but a node of the policy {policy.kind} that receives packets on the {link} link does "
+            "more than to hold their last value, and would have to know how old a packet is; expected a constant "
+            f"delay, {network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
+        )
+    if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
+        raise ProblemError(
+            f"{key} is random, but the policy {policy.kind} needs to know at the end of a step whether its packet on "
+            f"the {link} link has arrived; expected {network.key(link, 'buffer')} below one period, the policy kind "
+            "excess, or a link without acknowledgements"
+        )
+
+
+def _is_held(step: Assign) -> bool:
+    """Return whether a signal keeps its value, or becomes 0, if no packet arrives."""
+    silent = step.branches[0]
+    if not set(silent) <= {step.signal}:
+        return False
+    own = silent.get(step.signal)
+    return own is None or (isinstance(own, np.ndarray) and (not own.any() or np.array_equal(own, np.eye(len(own)))))
 
 
 def links_of(policy: Policy) -> tuple[str, ...]:
     """Return the links on which the policy sends and reacts to whether a packet arrives."""
     sent: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
-    heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
+    heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged | Acted)}
     return tuple([link for link in sent if link in heard])
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
     """Return whether the network acknowledges packets, but the policy does not use the acknowledgements."""
-    told = any(isinstance(on, Acknowledged) for on in _conditions(policy))
+    told = any(isinstance(on, Acknowledged | Acted) for on in _conditions(policy))
     return any(network.acknowledges(link) for link in network.links) and not told
 
 
 def _conditions(policy: Policy) -> list[Condition | None]:
     steps = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     return steps + [location.on for location in policy.locations]
-
-
-def expect_timely_acknowledgements(policy: Policy, network: Network) -> None:
-    """Raise an error if a sender needs acknowledgements before its next step, and packets arrive only after it."""
-    for link in {on.link for on in _conditions(policy) if isinstance(on, Acknowledged)}:
-        law = network.links.get(link, IDEAL_LINK)
-        if law.wait.periods(policy.tick) >= 1.0 and law.played().mean_loss > 0.0:
-            told, late = (
-                network.key(link, "acknowledged"),
-                network.key(link, "delay" if law.buffer is None else "buffer"),
-            )
-            raise ProblemError(
-                f"{late} is {law.wait.text()}, and the policy {policy.kind} needs acknowledgements of the {link} link "
-                f"before the next step ({told}), when no packet has arrived; expected a delay below one period, or no "
-                "acknowledgements"
-            )
 
 
 def check_information(policy: Policy, network: Network) -> None:
@@ -181,7 +205,7 @@ class _Knowledge:
                 f"the node {at} uses packets of the {condition.link} link, which it does not receive; expected a link "
                 "on which it receives packets"
             )
-        if isinstance(condition, Acknowledged):
+        if isinstance(condition, Acknowledged | Acted):
             if condition.link not in self.packets or self.packets[condition.link][0] != site:
                 raise InformationError(
                     f"the node {at} uses an acknowledgement of the {condition.link} link; expected a link on which it "

@@ -148,22 +148,33 @@ class LinkLaw(Displayed):
     @property
     def wait(self) -> Wait:
         """The delay after which the receiver uses each packet that it uses, if it is always the same; otherwise 0."""
-        constant = None if self.delay is None else self.delay.constant
-        return self.buffer or constant or Wait()
+        if self.played().delay is not None:
+            return Wait()
+        return self._used_after or Wait()
+
+    @property
+    def _used_after(self) -> Wait | None:
+        """The delay after which the receiver uses each packet that it uses; None if this is not always the same."""
+        return self.buffer or (None if self.delay is None else self.delay.constant)
 
     def played(self) -> LinkLaw:
         """Return the link without its constant delay. A packet that arrives later than the buffer counts as lost.
 
-        A link whose delays are random, and whose receiver has no buffer, is returned as it is.
+        A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link drops
+        packets and acknowledges those that arrive, a sender learns only after the delay which packet was lost, so the
+        delay remains one of the link, with a single value.
         """
-        law, buffer = self.delay, self.buffer
-        if law is None or law.constant is not None:
-            return replace(self, delay=None, buffer=None) if law is not None or buffer is not None else self
-        if buffer is None:
+        law, buffer, after = self.delay, self.buffer, self._used_after
+        if after is None:
             return self
-        losses = law.losses(buffer, self.loss, self.burst)
+        losses: float | LossLaw = self.burst or self.loss
+        if law is not None and buffer is not None:
+            losses = law.losses(buffer, self.loss, self.burst)
         lost = {"loss": losses, "burst": None} if isinstance(losses, float) else {"loss": 0.0, "burst": losses}
-        return replace(self, delay=None, buffer=None, **lost)
+        seconds = after.seconds > 0
+        single = DelayLaw((after.seconds if seconds else float(after.steps),), ((1.0,),), seconds)
+        unknown = self.acknowledged and losses != 0.0
+        return replace(self, delay=single if unknown else None, buffer=None, **lost)
 
     @property
     def protocol(self) -> str:

@@ -28,6 +28,7 @@ from taciturn._arrays import Array, count, flag, instance, number, quoted
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
+from taciturn.model.delay import DelayLaw
 from taciturn.model.key import stated_as
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
@@ -141,7 +142,7 @@ USUAL: Mapping[str, NodeRole] = {
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 PROTOCOL = "network.protocol"
-LATE = "the loss of packets later than "
+LATE_LOSS = "the loss of packets later than "
 SHORT: Mapping[tuple[str, str], str] = {
     (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
     for link in ("sensor", "actuator")
@@ -458,7 +459,8 @@ class Network(Displayed):
     def losing(self) -> str | None:
         """The first key that states losses, acknowledgements or a delay; None if all links are ideal."""
         lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
-        told = [key for link in self.links for key in self.unusual(link, "acknowledged")]
+        varies = {link: self.key(link, "delay") for link in self.late if not self.acknowledges(link)}
+        told = [varies.get(link, key) for link in self.links for key in self.unusual(link, "acknowledged")]
         found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
         return found[0] if found else None
 
@@ -517,8 +519,12 @@ class Network(Displayed):
 
     def without_bursts(self) -> Network:
         """Return a copy of the network whose losses are independent instead of bursty, with the same mean."""
-        bursty = {name: law for name, law in self.links.items() if law.burst is not None}
-        return self.changed({name: {"loss": law.mean_loss, "burst": None} for name, law in bursty.items()})
+        changes = dict[str, dict[str, Any]]()
+        for name, law in self.links.items():
+            if law.burst is not None:
+                delay = law.delay and law.delay.averaged(law.burst.start)
+                changes[name] = {"loss": law.mean_loss, "burst": None, "delay": delay}
+        return self.changed(changes)
 
     @property
     def rounded(self) -> bool:
@@ -546,9 +552,25 @@ class Network(Displayed):
         stated, links = dict(self.stated), {name: law.played() for name, law in late.items()}
         for name, law in late.items():
             if law.loss == 0.0 and law.burst is None and links[name].mean_loss > 0.0:
-                told = f"{LATE}{self.key(name, 'buffer')}"
+                told = f"{LATE_LOSS}{self.key(name, 'buffer')}"
                 stated |= {(name, key): told for key in ("loss", "burst", "acknowledged")}
         return replace(self, links={**self.links, **links}, stated=stated)
+
+    def random_delay(self, link: str, period: float) -> DelayLaw | None:
+        """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
+        law = self.links[link].played().delay
+        return None if law is None else law.in_periods(period)
+
+    @property
+    def late(self) -> tuple[str, ...]:
+        """Names of the links that delay packets at random, and whose receivers have no buffer."""
+        return tuple(name for name, law in self.links.items() if law.played().delay is not None)
+
+    def cuts(self, period: float) -> tuple[float, ...]:
+        """Return the parts of a period at which packets to actuators may arrive, if delays are random; else nothing."""
+        laws = [self.random_delay(name, period) for name in self.links if self.nodes[name].applies]
+        parts = {wait % 1.0 for law in laws if law is not None for wait in law.waits}
+        return tuple(sorted(parts | {0.0})) if parts - {0.0} else ()
 
     def delayed_as(self, other: Network) -> Network:
         """Return a copy of the network whose links have the delays of those of another network.
@@ -562,7 +584,7 @@ class Network(Displayed):
             played, mine = law.played(), self.links[name]
             alike = all(getattr(mine, key) == getattr(played, key) for key in losses)
             kept = {key: getattr(law, key) for key in ("delay", "buffer", *losses)}
-            laws[name] = kept if alike else {"delay": None, "buffer": law.wait}
+            laws[name] = kept if alike else {"delay": played.delay, "buffer": law.wait}
         return self.changed(laws) if laws else self
 
     @property

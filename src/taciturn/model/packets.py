@@ -24,7 +24,7 @@ from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.policy import Policy
-from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Evaluate, Send, assigned
+from taciturn.model.steps import ONE, Acknowledged, Acted, Apply, Assign, Evaluate, Send, assigned
 from taciturn.model.wire import PERSON, PLANT, SETPOINT, Encoding, PacketKind
 
 POINTS = 3  # number of points at which a function is evaluated for the fingerprint
@@ -155,7 +155,7 @@ def is_acknowledged(policy: Policy, link: str) -> bool:
     """Return whether the policy uses acknowledgements of the packets on a link."""
     conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     conditions += [place.on for place in policy.locations]
-    return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)
+    return any(isinstance(on, Acknowledged | Acted) and on.link == link for on in conditions)
 
 
 def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:

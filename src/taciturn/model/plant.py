@@ -42,6 +42,7 @@ from taciturn._modes import eigenvalues, factor, mode_text, root, symmetric_fact
 from taciturn._rational import FEWEST, Limit, is_semidefinite, nearest, rational, unmoved
 from taciturn._text import Lines, number_of
 from taciturn.errors import ProblemError
+from taciturn.model.delay import Transport
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.load import Load
@@ -50,7 +51,6 @@ from taciturn.model.noise import Noise
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
-from taciturn.model.transport import Transport
 from taciturn.model.trigger import Matrix, Scheduled
 
 

@@ -3,7 +3,7 @@
 A policy is a list of these steps. A node assigns sums Σ matrix·signal (``Assign``), quadratic forms (``Evaluate``),
 results of functions (``Apply``) and random thresholds (``Draw``); it decides by a trigger (``Decide``), and sends
 packets (``Send``). A condition selects a branch of an assignment: the label of a decision, or whether a packet arrived
-(``Received``) or was acknowledged (``Acknowledged``).
+(``Received``), was acknowledged (``Acknowledged``), or acted in a piece of the step (``Acted``).
 
 A ``Location`` is a finite discrete state that evolves by a table, such as the phase of a schedule. Matrices and numbers
 of the steps may depend on it. A location is independent of data if it has no condition, if all columns of its table
@@ -46,7 +46,20 @@ class Acknowledged(Displayed):
     link: str
 
 
-Condition: TypeAlias = str | Received | Acknowledged  # a string is the name of a decision
+@dataclass(frozen=True, repr=False)
+class Acted(Displayed):
+    """The condition "my packet of this age arrived in this step, before a piece of it ended".
+
+    A sender can check it at the end of a step, if packets arrive after random delays and the receiver sends
+    acknowledgements with the time of arrival.
+    """
+
+    link: str
+    age: int  # steps since the packet was sent
+    piece: int  # the pieces of a period begin where a packet may arrive
+
+
+Condition: TypeAlias = str | Received | Acknowledged | Acted  # a string is the name of a decision
 Terms: TypeAlias = Mapping[str, Matrix]
 
 

@@ -12,55 +12,9 @@ The controller acts when the latest sample of a step has arrived, which sets the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from taciturn._arrays import Array, set_fields
-from taciturn._display import Displayed
-from taciturn.model.delay import WHOLE, Wait
-
-if TYPE_CHECKING:
-    from taciturn.model.network import Network
-    from taciturn.model.plant import AnyPlant, DisplayedPlant
-
-
-@dataclass(frozen=True, repr=False)
-class Transport(Displayed):
-    """The constant delays after which each input of a plant acts, and with which each output is read."""
-
-    inputs: tuple[Wait, ...]
-    outputs: tuple[Wait, ...]
-
-    @staticmethod
-    def of(inputs: Sequence[Wait], outputs: Sequence[Wait]) -> Transport | None:
-        """Return the delays, or None if all are 0."""
-        return Transport(tuple(inputs), tuple(outputs)) if any(map(any, (*inputs, *outputs))) else None
-
-    def periods(self, period: float) -> tuple[Array, tuple[int, ...]]:
-        """Return after how many periods each input acts, (m,), and by how many steps each output is older than the
-        newest.
-        """
-        read = [wait.periods(period) for wait in self.outputs]
-        part = max((wait % 1.0 for wait in read), default=0.0)
-        steps = [int(wait // 1) for wait in read]
-        least = min(steps, default=0)
-        acts = np.array([wait.periods(period) for wait in self.inputs]) + (least + part)
-        whole = np.round(acts)
-        return np.where(np.abs(acts - whole) <= WHOLE, whole, acts), tuple(one - least for one in steps)
-
-    def text(self) -> str:
-        """Describe the delays in a few words."""
-        named = {"input": self.inputs, "output": self.outputs}
-        found = [(name, i, wait) for name, waits in named.items() for i, wait in enumerate(waits, start=1) if any(wait)]
-        return ", ".join(f"{name} {i} {wait.text()} late" for name, i, wait in found)
-
-    def short(self) -> str:
-        """Describe the delays in a few words."""
-        return self.text()
+from taciturn.model.delay import Transport, Wait
+from taciturn.model.network import Network
+from taciturn.model.plant import AnyPlant, DisplayedPlant, altered
 
 
 def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
@@ -69,11 +23,25 @@ def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
     return plant if found is None or plant.transport == found else with_transport(plant, found)
 
 
+def expected_by(plant: AnyPlant, network: Network) -> AnyPlant:
+    """Return a plant for a design: with the constant delays of links, and the mean of random ones to actuators."""
+    means = {name: law.delay.expected for name, law in network.links.items() if name in network.late and law.delay}
+    certain = transport_of(plant, network)
+    found = certain or Transport((Wait(),) * plant.inputs, (Wait(),) * len(plant.C))
+    inputs = list(found.inputs)
+    for name, wait in means.items():
+        for index in network.nodes[name].entries("applies", plant.inputs):
+            if index < len(inputs):
+                inputs[index] = wait
+    late = Transport.of(inputs, found.outputs)
+    if late is None or (not means and certain is None):
+        return plant
+    return with_transport(plant, Transport(late.inputs, late.outputs, certain) if means else late)
+
+
 def with_transport(plant: AnyPlant, transport: Transport | None) -> AnyPlant:
     """Return a copy of a plant with other constant delays."""
-    late = copy(plant)
-    set_fields(late, {"transport": transport})
-    return late
+    return altered(plant, {"transport": transport})
 
 
 def transport_of(plant: DisplayedPlant, network: Network) -> Transport | None:

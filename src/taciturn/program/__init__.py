@@ -29,7 +29,8 @@ Read the modules in this order:
 
 1. ``ops`` and ``ir``: the operations, ``Program``, and ``Builder``, which simplifies and merges.
 2. ``translation``: translates policy steps to operations. ``node`` (one site, with packets as inputs, in up to two
-   parts per step) and ``all_nodes`` (all nodes and links of a policy) use it, ``missing``, which replaces samples
+   parts per step) and ``all_nodes`` (all nodes and links of a policy) use it, ``late``, packets that arrive at random
+   times, ``missing``, which replaces samples
    that are missing, ``gap``, which corrects a controller after them, and ``manual``, which replaces commands.
    ``taciturn.loop`` adds the plant.
 3. ``numpy``: the reference implementation, one operation after the other over all paths.

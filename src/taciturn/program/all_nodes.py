@@ -19,6 +19,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.errors import ProblemError
 from taciturn.model.expected import sensed_by
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
@@ -28,6 +29,7 @@ from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import ONE, Assign, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
+from taciturn.program.late import memories
 from taciturn.program.manual import OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of
 from taciturn.program.node import NODES
@@ -46,6 +48,7 @@ _FILTER, _REGISTERS = "prior", ("register", "next register")  # names of signals
 
 Begin: TypeAlias = Callable[..., TimeStep]
 _COMMAND, TOLD = "command", "the applied input is known"
+ACTING = "acting"  # the inputs that act in each piece of a step, if packets arrive at random times within it
 
 
 def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
@@ -72,6 +75,25 @@ def carry_out(tick: TimeStep, policy: Policy, steps: Iterable[Step], limits: Sat
         for index, operand in zip(inputs, tick.signals[signal], strict=True)
     }
     tick.limited([found[index] for index in range(policy.model.inputs)], limits, APPLIED)
+    if tick.pieces:
+        _apply_pieces(tick, policy, limits)
+
+
+def _apply_pieces(tick: TimeStep, policy: Policy, limits: Saturation | None) -> None:
+    """Assign to ``ACTING`` the limited inputs of all pieces of the step, one after the other."""
+    if limits is not None and limits.moves:
+        raise ProblemError(
+            "input_rate is given, and packets arrive at random within a period; expected delays of whole periods, a "
+            "buffer, or no input_rate"
+        )
+    count, whole, last = len(next(iter(tick.pieces.values()))), list[int](), tick.signals[APPLIED]
+    for piece in range(count):
+        found = dict[int, int]()
+        for signal, (_, inputs) in policy.applied.items():
+            values = tick.pieces[signal][piece] if signal in tick.pieces else tick.signals[signal]
+            found |= dict(zip(inputs, values, strict=True))
+        whole += tick.limited([found[index] for index in range(policy.model.inputs)], limits, APPLIED)
+    tick.signals[APPLIED], tick.signals[ACTING] = last, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +238,10 @@ def begin_time_step(
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
     samples = held_samples(policy)
     held += [sample_state(node) for node in network.missing]
+    late, empty = memories(policy, network)
     sizes = {**policy.sizes, **sizes, **dict.fromkeys(held, 1), **{name: len(one) for name, one in samples.items()}}
-    initial = {**policy.initial, **initial, **{name: name for name in held}, **samples}
+    sizes |= late
+    initial = {**policy.initial, **initial, **{name: name for name in held}, **samples, **empty}
     return begin(Builder(precision), sizes, initial, policy.locations, told)
 
 

@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.model.coverage import INTERVALS, NETWORKS, STEPS, TRACKING, Coverage
+from taciturn.model.coverage import INTERVALS, LATE, NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
@@ -30,6 +30,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
 from taciturn.model.steps import (
     ONE,
+    Acted,
     Apply,
     Assign,
     Condition,
@@ -48,13 +49,14 @@ from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
+from taciturn.program.late import Ring
 from taciturn.program.ops import Entry, Name, Named, Option, Scalar, Sent, State
 from taciturn.program.tracing import trace
 
 Operands = list[int]
 APPLIED = "applied"  # the input that the actuators apply
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-TRANSLATED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
+TRANSLATED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS | LATE, "programs do not carry out")
 
 
 def first_input(policy: Policy, plant: Plant) -> Array:
@@ -78,6 +80,7 @@ class TimeStep:
     ) -> None:
         """Start before the first policy step."""
         self.builder, self.sizes, self.initial, self.payloads = builder, sizes, initial, payloads or {}
+        self._heard: Mapping[str, Operands] = {}  # signals of an earlier packet that the current policy step reads
         self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
@@ -89,6 +92,9 @@ class TimeStep:
         self.scalars: dict[Scalar, int] = {}  # scalar signals that a decision reads
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
         self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
+        self.late: dict[str, Ring] = {}  # packets of the links that delay them at random
+        self.link_states: dict[str, int] = {}  # state of each link with bursts in this step
+        self.pieces: dict[str, list[Operands]] = {}  # values, in each piece of the step, of signals that packets change
         self.locations = {location.name: location for location in locations}
         self.drawn = 0  # number of uniform numbers drawn so far
 
@@ -100,7 +106,7 @@ class TimeStep:
 
     def hear(self, name: str) -> Operands:
         """Return the value of a signal in a packet that has arrived, rounded as the packet encodes it."""
-        return self.rounded(self.recall(name), self.listening[name])
+        return self.rounded(self._heard.get(name) or self.recall(name), self.listening[name])
 
     def rounded(self, values: Operands, encoding: Encoding) -> Operands:
         """Round the values of a signal as the encoding of a packet does."""
@@ -134,13 +140,22 @@ class TimeStep:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
         return self.signals[name]
 
-    def draw_losses(self, policy: Policy, network: Network) -> None:
-        """Set the loss probability of each link. On a link with bursty losses, it depends on the channel state."""
+    def draw_losses(self, policy: Policy, network: Network, cuts: tuple[float, ...] = (0.0,)) -> None:
+        """Set the loss probability of each link, and take up its packets that are still on their way.
+
+        On a link with bursty losses, the probability depends on the channel state. Packets may arrive at the parts
+        ``cuts`` of a period.
+        """
         for link in network.links:
             burst = network.burst(link)
             self.losses[link] = network.loss(link)
             if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
+                self.link_states[link] = self.read(link_state(link))[0]
                 self.losses[link] = self.loss_by(burst, link_state(link))
+            law = network.random_delay(link, policy.tick)
+            if law is not None:
+                clocked = network.nodes[link].measures is not False
+                self.late[link] = Ring(self, link, law, cuts, clocked)
 
     def loss_by(self, law: LossLaw | float, name: str) -> Coefficient:
         """Return the loss probability in this step. A memory with the given name holds the state of a bursty law."""
@@ -167,7 +182,10 @@ class TimeStep:
         """Translate one policy step to operations of the program."""
         on = condition_of(step)
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
-        if isinstance(step, Assign):
+        if isinstance(step, Assign) and isinstance(on, Received) and on.link in self.late:
+            self._assign_late(step, self.late[on.link])
+        elif isinstance(step, Assign):
+            self._follow_pieces(step)
             values = [self.combine(terms, step.size) for terms in step.branches]
             self.signals[step.signal] = [self.pick(step.on, options) for options in zip(*values, strict=True)]
         elif isinstance(step, Evaluate):
@@ -184,6 +202,31 @@ class TimeStep:
         else:
             self._send(step)
         self.listening = {}
+
+    def _assign_late(self, step: Assign, ring: Ring) -> None:
+        """Assign a signal that the newest packet of a link changes, at the beginning of a piece of the step."""
+        listening, self.listening = self.listening, {}
+        silent, by_age = self.combine(step.branches[0], step.size), list[Operands]()
+        self.listening = listening
+        for age in (0, *ring.ages):
+            self._heard = {name: values[age] for name, values in ring.payload.items()}
+            by_age.append(self.combine(step.branches[1], step.size))
+        self._heard = {}
+        self.pieces[step.signal] = [ring.newest(by_age, silent, piece) for piece in range(ring.pieces)]
+        self.signals[step.signal] = self.pieces[step.signal][-1]
+
+    def _follow_pieces(self, step: Assign) -> None:
+        """Compute the values of a sum in each piece of the step, if it contains a signal that packets change in one."""
+        moving = [name for name in step.branches[0] if name in self.pieces]
+        if step.on is not None or not moving:
+            return
+        last = {name: self.signals[name] for name in moving}
+        found = list[Operands]()
+        for piece in range(len(self.pieces[moving[0]])):
+            self.signals |= {name: self.pieces[name][piece] for name in moving}
+            found.append(self.combine(step.branches[0], step.size))
+        self.signals |= last
+        self.pieces[step.signal] = found
 
     def combine(self, terms: Terms, rows: int) -> Operands:
         """Compute Σ matrix·signal as the product of one matrix [M_1 M_2 …] and one vector."""
@@ -219,6 +262,8 @@ class TimeStep:
         if isinstance(condition, str):
             return self.outcomes[condition]
         link = condition.link
+        if isinstance(condition, Acted):
+            return [self.builder.negated(self.late[link].acted(condition.age, condition.piece))]
         if link not in self.arrived:  # before its Send, a condition refers to the packet of the previous step
             name = _arrival(link)
             self.memories[name] = self._remember(name, 1)
@@ -272,6 +317,8 @@ class TimeStep:
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
+        for ring in self.late.values():
+            ring.end()
         for link, truth in self.arrived.items():
             self.signals[_arrival(link)] = [self.as_number(truth)]
         following = {(name, i): index for name in self.memories for i, index in enumerate(self.signals[name])}
@@ -359,6 +406,10 @@ class TimeStep:
             name in self.measured for name in step.payload
         ):  # there is nothing to send without a sample
             sent = self.builder.negated(self._none(self.measured[name] for name in step.payload))
+        if step.link in self.late:
+            self.late[step.link].send(self.arrives(step.link, sent), tuple(self.payloads.get(step.link, {})))
+            self.sent[step.link], self.arrived[step.link] = sent, self.late[step.link].arrived()
+            return
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
     def arrives(self, link: str, sent: Truth) -> Truth:

@@ -163,6 +163,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the links drop packets, but periodic control is computed for links that deliver every packet"
         )
+    if problem.network.late:
+        raise NoClockError("packets are delayed at random, but periodic control is computed for constant delays")
     if problem.network.missing:
         raise NoClockError(f"{OF_A_DESIGN} samples are missing at random")
     if len(nodes.scheduled) > 1:

@@ -45,9 +45,15 @@ if TYPE_CHECKING:
 
 STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
-NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport")
+NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
 # neutral values that digests do not contain
-LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1, "missing": {}, "quantities": [], "stored": []}
+LATER: Mapping[str, object] = {
+    **dict.fromkeys((*NONE, "transport", "delay", "buffer")),
+    "min_interval": 1,
+    "missing": {},
+    "quantities": [],
+    "stored": [],
+}
 
 
 def encode(value: object) -> str:
@@ -82,10 +88,10 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     laws = network.links.items()
     paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
     limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
+    late = {link: [law.delay, law.buffer] for link, law in laws if law.delay is not None or law.buffer is not None}
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    late = {link: [law.delay, law.buffer] for link, law in laws if law.delay is not None or law.buffer is not None}
     return found | {KIND: "Network"}, [one for one in (paid, limits, dict(network.missing), late) if one]
 
 

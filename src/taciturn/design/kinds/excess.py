@@ -31,6 +31,7 @@ from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.route import CANDIDATE, Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
+from taciturn.design.late import acknowledges_late, late_excess
 from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -60,6 +61,7 @@ def excess(
     every: int = 1,
     gains: Literal["lqg", "loss-optimal"] = "lqg",
     retry: bool = False,
+    design_delay: float | None = None,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -101,6 +103,8 @@ def excess(
             sample.
         gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"loss-optimal"``:
             those that cost least with the network's mean loss.
+        design_delay: with a link whose packets have random delays, the constant delay for which the gains of LQG are
+            made: seconds, or steps of a discrete plant; default: the mean delay of the packets that arrive.
         retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
             that attempts more often.
 
@@ -130,6 +134,19 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
+    if acknowledges_late(links):
+        if (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold"):
+            raise ProblemError(
+                f"{links.key('actuator', 'delay')} is random and packets are acknowledged; expected link = 'actuator', "
+                "every = 1, actuation = 'hold', gains = 'lqg' and no retry, or a buffer"
+            )
+        kept = None if controller is None else controller_from(controller)
+        return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay)
+    if design_delay is not None:
+        raise ProblemError(
+            f"design_delay is {design_delay:g}, but no link has acknowledged packets with random delays; expected no "
+            "design_delay: a constant delay is known, and the gains are made for it"
+        )
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":
         return _lqg(discretise(plant, cost, period), actuation, price_at, unsure(links, link))
