@@ -36,6 +36,10 @@ TABLES: dict[str, Any] = {
     "policy": {"kind": "distributed", "theta": 0.1},
     "nodes": NODES,
 }  # fmt: skip
+ONE_SENSOR: dict[str, Any] = {
+    "policy": {"kind": "lqg", "theta": 0.1},
+    "nodes": {"level": {"measures": True, "site": "plc"}, "plc": {"controls": True}, "pump": {"applies": True}},
+}
 CONTINUOUS = {
     **TABLES,
     "plant": {key: value for key, value in TABLES["plant"].items() if key != "dt"}
@@ -123,7 +127,7 @@ def test_a_trace_is_read_in_the_order_of_sending(file: Any, content: str | bytes
     law = delay_from("delay", {"trace": file(content)})
     assert (law.waits, law.odds, law.sequence) == ((0.01, 0.02), ((0.5, 0.25),), (0, 2, 1, 0))
     assert law.text() == "measured, 10 ms to 20 ms, mean 13.33 ms, 25 % lost"
-    assert law.mean() == pytest.approx(0.04 / 3)
+    assert law.mean == pytest.approx(0.04 / 3)
 
 
 @pytest.mark.parametrize(
@@ -379,7 +383,7 @@ def test_the_mean_is_that_of_the_states_of_the_link() -> None:
     """A state counts by its share of the steps."""
     link = LinkLaw(burst=BURSTS, delay={"states": [1, 3]})
     assert link.delay is not None
-    assert link.delay.mean(link.states) == pytest.approx(1 * 0.8 + 3 * 0.2)
+    assert link.delay.mean_by(link.states) == pytest.approx(1 * 0.8 + 3 * 0.2)
     assert link.lateness() == ("delay by the state of the link, 1 step to 3 steps, mean 1.4 steps",)
     buffered = replace(link, buffer=2)
     assert buffered.late == pytest.approx(0.2)

@@ -151,8 +151,13 @@ class DelayLaw(Displayed):
         """Return the probability of each delay, for the shares of the states of the link; default: equal ones."""
         return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
 
-    def mean(self, shares: Sequence[float] = ()) -> float:
-        """Return the mean delay of the packets that arrive, in steps or seconds."""
+    @property
+    def mean(self) -> float:
+        """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
+        return self.mean_by(())
+
+    def mean_by(self, shares: Sequence[float]) -> float:
+        """Return the mean delay of the packets that arrive, for the shares of the states of the link."""
         weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
 
@@ -191,7 +196,7 @@ class DelayLaw(Displayed):
         if len(self.waits) == 1:
             return f"{low}{lost}"
         how = "measured" if self.sequence else "by the state of the link" if len(self.odds) > 1 else "random"
-        average = self.mean(shares)
+        average = self.mean_by(shares)
         mean = f"{average * 1e3:.4g} ms" if self.in_seconds else f"{average:.4g} steps"
         return f"{how}, {low} to {high}, mean {mean}{lost}"
 

@@ -459,7 +459,8 @@ class Network(Displayed):
     def losing(self) -> str | None:
         """The first key that states losses, acknowledgements or a delay; None if all links are ideal."""
         lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
-        told = [key for link in self.links for key in self.unusual(link, "acknowledged")]
+        varies = {link: self.key(link, "delay") for link in self.late if not self.acknowledges(link)}
+        told = [varies.get(link, key) for link in self.links for key in self.unusual(link, "acknowledged")]
         found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
         return found[0] if found else None
 

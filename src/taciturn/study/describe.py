@@ -322,7 +322,7 @@ def _delay_document(law: LinkLaw) -> dict[str, Any]:
     return {
         "text": "; ".join(law.lateness()),
         "unit": "seconds" if seconds else "steps",
-        "mean": None if delay is None else delay.mean(law.states),
+        "mean": None if delay is None else delay.mean_by(law.states),
         **{key: one and (one.seconds if seconds else one.steps) for key, one in waits.items()},
         "lost": law.late,
     }
