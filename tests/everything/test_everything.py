@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from counts import RUN, few
-from everything import checks, lower, mutated, routes, run
+from everything import checks, lower, mutated, plain, routes, run
 from everything.draft import write
 from everything.features import FEATURES, build
 from everything.fingerprints import differing
@@ -38,6 +38,10 @@ FIXED = (
     ("timetable", "PID", "no drift", "kind distributed", "threshold of silence"),
     ("load", "cross terms", "kind excess"),
     ("descriptor", "kind excess", "violations", "named signals", "noise at inputs and outputs"),
+    ("late samples", "late inputs", "operating point", "feedthrough", "load", "kind distributed"),
+    ("continuous", "two outputs", "two sensors", "probes late by a part", "correlated noise", "kind distributed"),
+    ("two inputs", "two actuators", "valves of different delays", "every path", "kind distributed"),
+    ("continuous", "inputs late by more", "stated drift", "linear controller", "another plant", "kind excess"),
 )
 OF_PATHS = {"kept on every path", "certified"}  # checks of bounds that hold on every path
 
@@ -60,6 +64,24 @@ def test_features_that_meet_are_simulated_alike(names: tuple[str, ...], monkeypa
     assert "simulated" in report.compared
     bounded = "kind distributed" in names and ("every path" in names or "controller" in build(names, 1).tables)
     assert set(report.skipped) == (set() if bounded else OF_PATHS)
+
+
+def test_without_delays_a_model_with_queues_is_the_model(tmp_path: Path) -> None:
+    """A part of almost nothing changes little: the integrals over the pieces of a period are those of the period."""
+    drawn = build(("continuous", "cross terms", "load", "set-point", "kind excess"), 3)
+    tables = {**drawn.tables, "links": {}}
+    model = plain.model_of(tables, tmp_path)
+    links = {"sensor": {"delay": {"seconds": 1e-7}}}
+    late = plain.model_of({**tables, "links": links}, tmp_path)
+    n, kept = model.n, np.delete(np.arange(len(late.A)), model.n)
+    assert late.n == n + 1
+    assert np.allclose(late.A[np.ix_(kept, kept)], model.A, atol=1e-5)
+    assert np.allclose(late.B[kept], model.B, atol=1e-5)
+    assert np.allclose(late.stage[np.ix_([*kept, -1], [*kept, -1])], model.stage, atol=1e-5)
+    assert late.loads is not None
+    assert model.loads is not None
+    assert np.allclose(np.delete(late.loads.joint, n, axis=0), model.loads.joint, atol=1e-5)
+    assert np.allclose(late.loads.alone, model.loads.alone)
 
 
 def test_a_wrong_number_is_a_fault_of_the_smallest_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
