@@ -106,7 +106,7 @@ CASES = (
     Case("plant.dead_zone", plant=grown(CONTINUOUS, "dead_zone")),
     Case("jumps.skewness", plant=ContinuousPlant([[0.1]], ONE, jumps=JUMPS), around="jumps"),
     Case("cost.risk_aversion", cost=grown(COST, "risk_aversion")),
-    Case("network.random_delay", network=grown(Network(), "random_delay", init=True)),
+    Case("network.jamming", network=grown(Network(), "jamming", init=True)),
     Case("Assign.saturation", change=only(Assign, lambda step: grown(step, "saturation"))),
     Case("Decide.hysteresis", change=only(Decide, lambda step: grown(step, "hysteresis"))),
     Case("Send.repeats", change=only(Send, lambda step: grown(step, "repeats", init=True))),
@@ -116,7 +116,7 @@ CASES = (
 PREVIEW = grown(Reference([[0.0]] * 4, [[0.0]] * 3), "preview")
 DESIGNS: Mapping[str, Callable[[], object]] = {  # designs from parts that no policy contains
     "reference.preview": lambda: design.lossy_lqg(PLANT, Cost(ONE, ONE, horizon=3), price=1.0, reference=PREVIEW),
-    "network.random_delay": lambda: design.lossy_lqg(PLANT, COST, network=CASES[4].network, price=1.0),
+    "network.jamming": lambda: design.lossy_lqg(PLANT, COST, network=CASES[4].network, price=1.0),
     "plant.dead_zone": lambda: design.integral(grown(CONTINUOUS, "dead_zone"), COST, slope=1.0),
     "cost.risk_aversion": lambda: design.consistent(CONTINUOUS, grown(COST, "risk_aversion"), period=0.1),
 }
