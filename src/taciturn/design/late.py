@@ -145,7 +145,7 @@ def _gain(
 ) -> Array:
     """Return the gain on z of LQG for a constant delay: that which is given, or the mean of those that arrive."""
     step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
-    periods = law.mean() if given is None else given / step
+    periods = law.mean if given is None else given / step
     periods = float(np.clip(periods, law.waits[0], law.waits[-1])) if given is None else periods
     whole = float(np.round(periods)) if isinstance(plant, Plant) else periods
     wait = Wait(int(whole)) if isinstance(plant, Plant) else Wait(0, whole * step)

@@ -164,7 +164,7 @@ class DelayLaw(Displayed):
     @property
     def expected(self) -> Wait:
         """The mean delay of the packets that arrive, as a constant delay: seconds, or the nearest number of steps."""
-        return Wait(0, self.mean()) if self.in_seconds else Wait(round(self.mean()))
+        return Wait(0, self.mean) if self.in_seconds else Wait(round(self.mean))
 
     def in_periods(self, period: float) -> DelayLaw:
         """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
