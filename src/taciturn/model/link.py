@@ -160,7 +160,7 @@ class LinkLaw(Displayed):
     def played(self) -> LinkLaw:
         """Return the link without its constant delay. A packet that arrives later than the buffer counts as lost.
 
-        A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link loses
+        A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link drops
         packets and acknowledges those that arrive, a sender learns only after the delay which packet was lost, so the
         delay remains one of the link, with a single value.
         """

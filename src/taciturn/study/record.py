@@ -86,7 +86,6 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    late = {link: [law.delay, law.buffer] for link, law in laws if law.delay is not None or law.buffer is not None}
     return found | {KIND: "Network"}, [one for one in (paid, limits, dict(network.missing), late) if one]
 
 
