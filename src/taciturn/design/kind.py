@@ -230,6 +230,11 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
+            if network.late:
+                raise PlacementError(
+                    f"{network.losing} is random, which the policy kind {self.name} does not use; expected a constant "
+                    f"delay, or {network.key(network.late[0], 'buffer')} of at least the largest delay"
+                )
             raise PlacementError(
                 f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
                 f"remove {network.losing} (`taciturn network FILE --loss P` drops packets of any policy kind)"

@@ -100,7 +100,11 @@ def _expect_held(policy: Policy, network: Network, link: str) -> None:
     taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
     sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
     if sent is None:
-        return
+        raise ProblemError(
+            f"{key} is random, but no packets are sent on the {link} link of the policy {policy.kind}, which has no "
+            f"filter for measurements of random age; expected a constant delay, or {network.key(link, 'buffer')} of "
+            "at least the largest delay"
+        )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
     held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
     if not held or any(policy.steps.index(step) < sent for step in taken):

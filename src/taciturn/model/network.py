@@ -457,11 +457,12 @@ class Network(Displayed):
 
     @property
     def losing(self) -> str | None:
-        """The first key that states losses, acknowledgements or a delay; None if all links are ideal."""
+        """The first key that states random delays, losses, acknowledgements or a delay; None if all links are ideal."""
         lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
         told = [key for link in self.links for key in self.unusual(link, "acknowledged")]
         found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
-        return found[0] if found else None
+        random = [self.key(link, "delay") for link in self.late]  # which make a link one that may drop packets
+        return next(iter([*random, *found]), None)
 
     def encoding(self, link: str) -> Encoding:
         """Return how the numbers in the packets of a link are encoded.
@@ -539,9 +540,12 @@ class Network(Displayed):
     def played(self) -> Network:
         """Return a copy of the network without constant delays, which the plant of a design shows instead."""
         late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
-        return (
-            replace(self, links={**self.links, **{name: law.played() for name, law in late.items()}}) if late else self
-        )
+        if not late:
+            return self
+        links = {**self.links, **{name: law.played() for name, law in late.items()}}
+        more = [name for name, law in late.items() if links[name].mean_loss > law.mean_loss]  # which come too late
+        named = {(name, key): self.key(name, "buffer") for name in more for key in ("loss", "burst")}
+        return replace(self, links=links, stated={**self.stated, **named})
 
     def random_delay(self, link: str, period: float) -> DelayLaw | None:
         """Return the law of the delay of a link in periods, if it is random and the receiver has no buffer."""
