@@ -84,3 +84,11 @@ def test_the_reason_without_acknowledgements_is_the_mean_delay() -> None:
     problem = pendulum(actuator_delay=DELAYS)
     (reason,) = problem.close(problem.design()).violated_assumptions
     assert reason == "packets are delayed at random, but the design assumes their mean delay"
+
+
+def test_queries_are_scheduled_for_an_unstable_plant_whose_inputs_are_late() -> None:
+    """Registers of late inputs have no error, and the part that is left needs no input that stabilises it."""
+    problem = load("remote-scalar")
+    rates = [problem.changed({"network.actuator_delay": steps}).design().schedule.rate for steps in (0, 1)]  # type: ignore[union-attr]
+    assert rates[0] > 0
+    assert problem.changed({"network.actuator_delay": 1}).design().cost_all_time > problem.design().cost_all_time  # type: ignore[operator]

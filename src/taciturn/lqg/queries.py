@@ -42,7 +42,7 @@ from taciturn.lqg.cache import remembered
 from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.riccati import Repetition
-from taciturn.model.plant import Plant
+from taciturn.model.plant import Plant, derived_plant
 from taciturn.model.schedule import Schedule
 
 _NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
@@ -105,7 +105,9 @@ def _scheduled(
     A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
 ) -> Schedule:
     """Return the schedule of ``schedule_queries``; every trial of a search for another parameter needs it again."""
-    plant, weights = Plant(A, B, W, C, V), Weights(P, discount)
+    # inputs that act through states without an error, such as late ones, need not stabilise the part that is left
+    rest = np.zeros(len(A)), np.zeros_like(A)
+    plant, weights = derived_plant(A, B, W, C, V, None, *rest, None), Weights(P, discount)
     predictor, horizon = Predictor(plant), weights.horizon
     worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
     for tick in range(horizon or LONGEST):
