@@ -42,10 +42,12 @@ from taciturn.extend import (
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate, bound_text
-from taciturn.model.plant import ContinuousPlant
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.result import VERDICT, Field, Result, Tabular, plain_fields
 from taciturn.model.steps import read
+from taciturn.model.transport import with_transport
 from taciturn.problem import Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.simulation.average import check_effort, difference
@@ -90,7 +92,8 @@ def compare(
     simulated step by step, their difference is simulated with the same random numbers.
 
     Args:
-        problems: at least two problems by name, with the same plant, cost and network, and different policies.
+        problems: at least two problems by name, with the same plant, cost and network, and different policies or
+            buffers of receivers.
         rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
             with a send. Default: the rate of the first policy, or its traffic if it decides on several links.
         traffic: instead, the sum of the rates of all links, each times the price of a packet.
@@ -165,7 +168,7 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
         )
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
         for what in ("plant", "actual", "cost", "network", "reference", "limits"):
-            if not _same(getattr(first, what), getattr(second, what)):
+            if not _same(*(_stated(problem, what) for problem in (first, second))):
                 tables = {"actual": "[plant.actual]", "network": "[network], [nodes] or [links]"}
                 where = tables.get(what, f"[{what}]")
                 raise ProblemError(
@@ -180,12 +183,20 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
                 "constant or decay"
             )
         alike = first.record is second.record and _same(_fixed(first, link), _fixed(second, link))
-        if alike and _signals(first) == _signals(second):
+        if alike and _signals(first) == _signals(second) and _same(first.network, second.network):
             raise ProblemError(
                 f"the problems {one} and {other} have the same policy, {first.kind}, at the same {budget}; expected "
                 "policies that differ in a parameter other than the tuned one"
             )
     return problems
+
+
+def _stated(problem: Problem, what: str) -> object:
+    """Return a part of a problem, without the buffers of receivers: they are chosen, as policies are."""
+    given: object = getattr(problem, what)
+    if isinstance(given, Network):
+        return given.with_laws({"buffer": None})
+    return with_transport(given, None) if isinstance(given, Plant | ContinuousPlant) else given
 
 
 def _present(problem: Problem, link: str | None, seed: int) -> tuple[float | None, float | None]:

@@ -72,6 +72,8 @@ class Record:
         self.folder, self._real, self._lost = folder, tick is not None, lost
         policy = loop.policy
         self._period, self._loop = policy.model.dt or 1.0, loop
+        laws, period = policy.network.links, self._period
+        self._waits = {link: law.wait.periods(period) * period for link, law in laws.items()}
         self._begins: Callable[[int], float | None] = lambda step: None
         shapes = packet_shapes(policy, loop.network)
         self._bytes, self._triggers = dict[str, int](), dict[str, tuple[str, ...]]()
@@ -185,7 +187,10 @@ class Record:
         event = "late" if came.late > 0 or came.missed else "delivered"
         late = 0 if self._real else came.late  # in virtual time, a packet takes whole steps
         at = self._time(came.time, came.step + late)
-        delay = None if sent is None else at - sent.time if self._real else late * self._period
+        # in virtual time, the simulated plant shows the constant delay of a link
+        waited = 0.0 if self._real else self._waits.get(link, 0.0)
+        at += waited
+        delay = None if sent is None else at - sent.time if self._real else late * self._period + waited
         self._add(_Sent(at, came.step), link, event, delay)
 
     def _add(self, at: _Sent, link: str, event: str, delay: Cell = None, trigger: Cell = None) -> None:

@@ -37,6 +37,7 @@ from taciturn.design.missing_samples import for_missing_samples
 from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.information import expect_held
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import TOO_LATE, Network
 from taciturn.model.policy import Policy, with_intervals
@@ -387,6 +388,8 @@ def _on(
     if isinstance(policy, Policy):
         # last, since the laws name nodes of this network
         found = for_missing_samples(placed(policy, network), network)
+        for link in network.late:
+            expect_held(found, network, link)
         return replace(found, network=found.network.delayed_as(stated))
     if known.nodes != network.nodes:
         raise ProblemError(

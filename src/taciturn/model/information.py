@@ -72,7 +72,7 @@ def check_network(policy: Policy, network: Network) -> None:
                 "keeps the limits of the network"
             )
     for link in network.late:
-        _expect_held(policy, network, link)
+        expect_held(policy, network, link)
     packet_shapes(policy, network)
     _expect_within_ranges(policy, network)
     carrying = links_of(policy)
@@ -92,7 +92,7 @@ def check_network(policy: Policy, network: Network) -> None:
             )
 
 
-def _expect_held(policy: Policy, network: Network, link: str) -> None:
+def expect_held(policy: Policy, network: Network, link: str) -> None:
     """Raise an error unless packets of a link with random delays only replace a value that the receiver holds."""
     told = network.lateness(link)
     others = [location.on for location in policy.locations]
