@@ -22,6 +22,8 @@ CAPTIONS: dict[str, tuple[str, ...]] = {
     "import-a-model#from-python-control": ("Cost against packets of a servo from python-control.",),
     "keep-your-pid#keep-your-pid": ("Two tanks with two PI controllers: cost against traffic of all four links.",),
     "keep-your-pid#one-link": ("A tank with a PID controller: cost against packets.",),
+    "late-networks#a-buffer": ("Cost of a buffer that makes delays constant, and of the newest packet.",),
+    "late-networks#a-constant-delay": ("Cost of a pendulum against the delay of its packets.",),
     "limits#against-other-computations": ("Errors of Riccati solutions against 1,024 bits.",),
     "lossy-links#tracking": ("A robot follows a circle over a link that drops packets.",),
     "network#in-one-command": ("A run of nodes over UDP; a relay drops packets.",),

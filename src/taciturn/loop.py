@@ -116,10 +116,12 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     def lacks(names: frozenset[str]) -> bool:
         return not names.isdisjoint(missing)
 
+    # for the design, the plant shows the mean of random delays
+    meant = lacks(LATE) and bool(model.registers) and not plant.registers
+
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        # without acknowledgements, the plant of the design has the mean of a random delay
-        f"the plant{delays} is not the one of the design": not (plant.same_as(model) or lacks(DRIFT) or lacks(LATE)),
+        f"the plant{delays} is not the one of the design": not (plant.same_as(model) or lacks(DRIFT) or meant),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
         # set-points count from the operating point, so another one starts them elsewhere
         "the initial state is not the one of the design": started
@@ -134,7 +136,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "samples are missing at random": lacks(SAMPLES),
-        "packets are delayed at random, and their delays are not acknowledged": lacks(LATE),
+        "packets are delayed at random, and their delays are not acknowledged": lacks(LATE) and not meant,
+        "packets are delayed at random, but the design assumes their mean delay": meant,
         "the filter has the gain for missing samples, but none is missing": bool(
             policy.network.missing and not network.missing
         ),

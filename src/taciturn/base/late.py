@@ -501,9 +501,10 @@ def _closed_value(chain: Chain, remedy: str) -> tuple[Array, float]:
 
 def _unstable(chain: Chain, grows: float, remedy: str) -> UnstableError:
     """Return the error that the mean square of the loop grows."""
+    latest = max((d + (part > 0) for fate in chain.delays.fates for d, part in filter(None, fate)), default=0)
     return UnstableError(
         f"the mean square of the loop that sends every sample grows by a factor of {grows:.4g} per step, with packets "
-        f"that arrive up to {number_of(chain.delays.depth + 1, 'period')} late or never; expected a factor below 1: "
+        f"that arrive up to {number_of(latest, 'period')} late or never; expected a factor below 1: "
         f"shorter delays, fewer dropped packets, or {remedy}"
     )
 

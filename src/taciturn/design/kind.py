@@ -230,6 +230,11 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
+            if network.late:
+                raise PlacementError(
+                    f"{network.lateness(network.late[0])}, which the policy kind {self.name} does not use; expected a "
+                    f"constant delay, or {network.key(network.late[0], 'buffer')} of at least the largest delay"
+                )
             late = network.losing.startswith(TOO_LATE)
             remedy = "a buffer that no delay exceeds" if late else f"remove {network.losing}"
             raise PlacementError(

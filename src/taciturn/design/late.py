@@ -27,11 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn._text import number_of
 from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state
-from taciturn.base.given_controller import MORE_PACKETS, GivenLoop, lqg_observer
+from taciturn.base.given_controller import GivenLoop, lqg_observer
 from taciturn.base.late import Delays, LateValue, chain_of, fourth_growth, late_value
 from taciturn.base.nominal import Nominal
 from taciturn.base.periods import periods_of, with_controller, with_filter
@@ -43,7 +43,7 @@ from taciturn.lqg.registers import Pieces, registers_of
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, LATE
-from taciturn.model.delay import DelayLaw, Transport, Wait
+from taciturn.model.delay import LONGEST, DelayLaw, Transport, Wait
 from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -56,6 +56,7 @@ from taciturn.model.trigger import Form, Trigger
 COST, TRIED, BELIEF = "cost of silence", "tried", "belief"
 MOST_BELIEVED = 64  # modes of which a controller has probabilities
 LINK, AT = "actuator", "controller"
+OTHER_GAINS = "gains for another delay (design_delay)"
 
 
 def acknowledges_late(network: Network) -> bool:
@@ -98,13 +99,18 @@ def late_excess(
     pieces = discretise(source, problem.cost, tick if problem.sampled else None, None, cuts).pieces if cuts else None
     steady, delays = problem.filter(), _delays(law, network)
     whole = periods_of(problem, pieces)
+    if kept is not None and design_delay is not None:
+        raise ProblemError(
+            f"design_delay is {design_delay:g}, and a controller is given; expected no design_delay: the controller "
+            "states its own gains"
+        )
     if kept is None:
         K = _gain(plant, cost, period, law, delays.depth, design_delay)
         base, state = with_filter(whole, steady), (ESTIMATE,)
     else:
         base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
         state = (ESTIMATE, MEASURED, *((REGISTER,) if len(loop.controller.A) else ()))
-    found = late_value(chain_of(base, K, delays), loop.remedy if kept is not None else MORE_PACKETS)
+    found = late_value(chain_of(base, K, delays), loop.remedy if kept is not None else OTHER_GAINS)
     J = found.cost - problem.noise_cost
     price, fourth = price_at(J), fourth_growth(found)
     steps, initial = _steps(problem, loop if kept is not None else None, found, pieces, state, K, price)
@@ -145,6 +151,8 @@ def _gain(
 ) -> Array:
     """Return the gain on z of LQG for a constant delay: that which is given, or the mean of those that arrive."""
     step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
+    if given is not None:
+        given = number("design_delay", given, 0.0, LONGEST * step, closed=True)
     periods = law.mean if given is None else given / step
     periods = float(np.clip(periods, law.waits[0], law.waits[-1])) if given is None else periods
     whole = float(np.round(periods)) if isinstance(plant, Plant) else periods

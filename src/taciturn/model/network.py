@@ -457,12 +457,13 @@ class Network(Displayed):
 
     @property
     def losing(self) -> str | None:
-        """The first key that states losses, acknowledgements or a delay; None if all links are ideal."""
+        """The first key that states random delays, losses, acknowledgements or a delay; None if all links are ideal."""
         lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
         varies = {link: self.key(link, "delay") for link in self.late if not self.acknowledges(link)}
         told = [varies.get(link, key) for link in self.links for key in self.unusual(link, "acknowledged")]
         found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
-        return found[0] if found else None
+        random = [self.key(link, "delay") for link in self.late]  # which make a link one that may drop packets
+        return next(iter([*random, *found]), None)
 
     def encoding(self, link: str) -> Encoding:
         """Return how the numbers in the packets of a link are encoded.

@@ -26,7 +26,8 @@ def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
 def expected_by(plant: AnyPlant, network: Network) -> AnyPlant:
     """Return a plant for a design: with the constant delays of links, and the mean of random ones to actuators."""
     means = {name: law.delay.expected for name, law in network.links.items() if name in network.late and law.delay}
-    certain = transport_of(plant, network)
+    # of a network whose constant delays the plant shows already, they are those of the plant
+    certain = transport_of(plant, network) or (plant.transport and plant.transport.certain)
     found = certain or Transport((Wait(),) * plant.inputs, (Wait(),) * len(plant.C))
     inputs = list(found.inputs)
     for name, wait in means.items():
