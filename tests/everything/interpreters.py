@@ -40,6 +40,8 @@ def stepping(problem: Problem) -> Policy:
     policy = problem.designed()
     if not isinstance(policy, Policy):
         raise SkippedError("a policy without steps")
+    if problem.network.late:
+        raise SkippedError("delays that vary, or losses of which a sender learns only after a delay")
     return policy
 
 

@@ -59,9 +59,11 @@ def late_of(tables: Tables, outputs: int, inputs: int, h: float) -> Late:
     """Return the delays of a file, whose steps take h seconds."""
     network, links = tables.get("network", {}), tables.get("links", {})
     nodes, waits = nodes_of(tables, outputs, inputs), dict[str, float]()
-    for name in nodes.laws:
+    for name, law in nodes.laws.items():
         usual = {key: network[f"{name}_{key}"] for key in ("delay", "buffer") if f"{name}_{key}" in network}
         waits[name] = wait_of({**usual, **links.get(name, {})}, h)
+        if waits[name] and law.lossy and law.acknowledged:
+            raise NotModelledError("losses of which a sender learns only after a delay")
     read, commanded = [0.0] * outputs, [0.0] * inputs
     for found, places in ((read, nodes.sensors), (commanded, nodes.actuators)):
         for name, listed in places.items():
