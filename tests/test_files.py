@@ -46,6 +46,7 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "logs.py": "logs of processes that it started, and logs, which it writes",
     "namespaces.py": "/proc",
     "without_file.py": "a problem of the process that started this one",
+    "record.py": "tables, which it writes",
     "rover.py": "models of this package",
     "guard.py": "files of pages of this package",
     "workers.py": "Python files of this package",

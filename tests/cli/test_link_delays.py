@@ -56,7 +56,7 @@ def linked(law: str) -> str:
         ("delay = 300", "the delays of the links need more than 200 registers"),
         (
             "delay = [0.5, 0.5]",
-            "links.valve.delay is given, which the policy kind lqg does not use; expected ideal links",
+            "links.valve.delay is random, which the policy kind lqg does not use; expected a constant delay",
         ),
     ],
 )

@@ -67,7 +67,7 @@ def test_the_packets_of_all_parts_are_counted(tmp_path: Path, monkeypatch: pytes
         sender=lambda link: "controller",
         receiver=lambda link: "controller",
     )
-    found = Logs(cast("Processes", nodes))
+    found = Logs(cast("Processes", nodes), lambda step: None)
     with logged(str(tmp_path / "controller.jsonl"), 500) as told, found.followed():
         assert told is not None
         for tick in range(300):

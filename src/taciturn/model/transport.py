@@ -12,6 +12,8 @@ The controller acts when the latest sample of a step has arrived, which sets the
 
 from __future__ import annotations
 
+from typing import cast
+
 from taciturn.model.delay import Transport, Wait
 from taciturn.model.network import Network
 from taciturn.model.plant import AnyPlant, DisplayedPlant, altered
@@ -24,7 +26,12 @@ def delayed_by(plant: AnyPlant, network: Network) -> AnyPlant:
 
 
 def expected_by(plant: AnyPlant, network: Network) -> AnyPlant:
-    """Return a plant for a design: with the constant delays of links, and the mean of random ones to actuators."""
+    """Return a plant for a design: with the constant delays of links, and the mean of random ones to actuators.
+
+    A design gets anything else as it is, and refuses it.
+    """
+    if not isinstance(cast("object", plant), DisplayedPlant):
+        return plant
     means = {name: law.delay.expected for name, law in network.links.items() if name in network.late and law.delay}
     # of a network whose constant delays the plant shows already, they are those of the plant
     certain = transport_of(plant, network) or (plant.transport and plant.transport.certain)

@@ -137,8 +137,9 @@ class Problem(Displayed):
         self._share_names()
         for name in ("plant", "actual"):
             stated = getattr(self, name)
-            if stated is not None:
-                object.__setattr__(self, name, with_transport(stated, transport_of(stated, self.network)))
+            transport = None if stated is None else transport_of(stated, self.network)
+            if stated is not None and stated.transport != transport:
+                object.__setattr__(self, name, with_transport(stated, transport))
         if self.limits is not None:
             instance("limits", self.limits, Limits)
             self.limits.expect_states(len(self.plant.A))
