@@ -76,6 +76,8 @@ class Packet(NamedTuple):
         loop: number of the loop.
         back: whether a mark, a challenge or an answer travels against the link; other kinds have one direction.
         nonce: random number of a challenge, which its answer repeats.
+        late: of a packet on a link that delays packets at random: its delay in pieces of a period, which the link or
+            the receiver states; no part of the datagram.
     """
 
     kind: PacketKind
@@ -87,6 +89,7 @@ class Packet(NamedTuple):
     loop: int = 0
     back: bool = False
     nonce: int = 0
+    late: int = 0
 
 
 class Frames:
