@@ -517,9 +517,17 @@ class Network(Displayed):
         return replace(self, links=links)
 
     def without_bursts(self) -> Network:
-        """Return a copy of the network whose losses are independent instead of bursty, with the same mean."""
-        bursty = {name: law for name, law in self.links.items() if law.burst is not None}
-        return self.changed({name: {"loss": law.mean_loss, "burst": None} for name, law in bursty.items()})
+        """Return a copy of the network whose losses and delays are independent instead of bursty, with the same
+        mean.
+        """
+        laws: dict[str, dict[str, Any]] = {}
+        for name, law in self.links.items():
+            if law.burst is not None:
+                laws[name] = {"loss": law.mean_loss, "burst": None}
+                arriving = law.burst.start * (1.0 - law.burst.losses)  # share of the packets that each state delays
+                delay = None if law.delay is None else law.delay.mixed(arriving)
+                laws[name] |= {"delay": delay}
+        return self.changed(laws)
 
     @property
     def rounded(self) -> bool:
