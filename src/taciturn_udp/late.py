@@ -16,7 +16,7 @@ from itertools import accumulate
 from typing import Any, Self, cast
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Displayed
+from taciturn.extend import Displayed, number_of
 from taciturn.model.delay import SUMS
 from taciturn.model.network import Network
 from taciturn.program.late import codes_of, is_clocked, pieces_of_links
@@ -30,21 +30,13 @@ _KEYS = ("delays", "odds", "pieces", "sequence", "block")
 
 @dataclass(frozen=True, repr=False)
 class Lateness(Displayed):
-    """The law of the delays on a link, in pieces of a period.
+    """The law of the delays on a link, in pieces of a period."""
 
-    Args:
-        delays: the possible delays, increasing.
-        odds: their probabilities in each state of the link; the rest is lost.
-        pieces: number of pieces of a period.
-        sequence: of a trace: the delay of each packet as an index of ``delays``, or their number if it is lost.
-        block: mean number of packets of the trace that are replayed in turn.
-    """
-
-    delays: tuple[int, ...]
-    odds: tuple[tuple[float, ...], ...]
-    pieces: int = 1
-    sequence: tuple[int, ...] = ()
-    block: float = 1.0
+    delays: tuple[int, ...]  # the possible delays, increasing
+    odds: tuple[tuple[float, ...], ...]  # their probabilities in each state of the link; the rest is lost
+    pieces: int = 1  # of a period
+    sequence: tuple[int, ...] = ()  # of a trace: the delay of each packet as an index; their number if it is lost
+    block: float = 1.0  # mean number of packets of a trace that are replayed in turn
 
     @classmethod
     def of(cls, network: Network, link: str, period: float) -> Self | None:
@@ -54,8 +46,8 @@ class Lateness(Displayed):
             return None
         if len(law.sequence) > MOST:
             raise ProblemError(
-                f"{network.key(link, 'delay')} is a trace of {len(law.sequence)} packets, but running links replay at "
-                f"most {MOST}; expected a shorter trace, or a histogram"
+                f"{network.key(link, 'delay')} is a trace of {number_of(len(law.sequence), 'packet')}, but running "
+                f"links replay at most {MOST}; expected a shorter trace, or a histogram"
             )
         cuts, pieces = network.cuts(period) or (0.0,), pieces_of_links(network, period)[link]
         codes = [int(code) * pieces // len(cuts) for code in codes_of(law, cuts, is_clocked(network, link))]

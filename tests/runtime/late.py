@@ -39,8 +39,7 @@ class Shown(TimeStep):
 
     def packets(self) -> dict[Name, int]:
         """Return the flags of packets, the delays of those that are sent in this step, and the inputs."""
-        delays: dict[Name, int] = {Arrived(link, 0): ring.arrivals[0] for link, ring in self.rings.items()}
-        return super().packets() | delays | named(ACTING, self.signals.get(ACTING, ()))
+        return super().packets() | self.delays() | named(ACTING, self.signals.get(ACTING, ()))
 
 
 def record(loop: Loop, ticks: int, seed: int, fast: bool = True) -> Records:

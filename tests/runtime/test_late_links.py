@@ -134,7 +134,7 @@ def test_laws_of_links_are_checked(text: str) -> None:
 
 
 def test_what_does_not_carry_out_random_delays_refuses_them(tmp_path: Path) -> None:
-    """By name: nodes and links in real time, network namespaces, worlds, descriptions, and C code."""
+    """By name: nodes and links in real time, network namespaces, worlds, descriptions, units, and C code with delays within periods."""
     from taciturn_worlds.world import run_world
 
     problem = pendulum()
@@ -158,8 +158,11 @@ def test_what_does_not_carry_out_random_delays_refuses_them(tmp_path: Path) -> N
         run_world(problem, 1)
     with pytest.raises(ProblemError, match=r"links\.delay is given"):
         describe_wire(policy, problem.network)
-    with pytest.raises(ProblemError, match="exported C code does not carry out"):
-        taciturn.export_c(problem, tmp_path / "c")
+    with pytest.raises(ProblemError, match="a functional mock-up unit does not carry out"):
+        taciturn.export_fmu(problem, tmp_path / "unit.fmu")
+    for law, how in ((WITHIN, "may end within a period"), ([0.5] + [0.0] * 70 + [0.5], "are up to 71 steps")):
+        with pytest.raises(ProblemError, match=f"delays {how}, which exported C code does not carry out"):
+            taciturn.export_c(pendulum({"kind": "periodic", "delta": None, "every": 1}, delay=law), tmp_path / "c")
 
 
 def test_traces_that_are_too_long_for_an_argument_are_refused() -> None:

@@ -274,9 +274,11 @@ class Inbox:
                 self.counters["used"] += 1
                 inputs[stream.at + wanted - packet.tick] = float(packet.late % stream.pieces)
             return come
-        newer, used, size = [one for one in come if one.tick > stream.newest], set[int](), 1 + stream.size
+        # a packet of a step that this node has missed is heard now
+        newer = [stream.dated(one, wanted) for one in come if one.tick > stream.newest]
+        used, size = set[int](), 1 + stream.size
         for piece in range(stream.pieces):
-            here = [one for one in newer if due_step(one, stream) < wanted or one.late % stream.pieces <= piece]
+            here = [one for one in newer if one.late % stream.pieces <= piece]
             best = max(here, key=lambda one: one.tick, default=None)
             used |= set[int]() if best is None else {best.tick}
             arrived = (0.0,) * size if best is None else (1.0, *best.values)

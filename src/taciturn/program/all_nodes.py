@@ -32,7 +32,7 @@ from taciturn.program.late import memories
 from taciturn.program.manual import OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of
 from taciturn.program.node import NODES, check_pieces
-from taciturn.program.ops import Arrived, Name, Precision, named
+from taciturn.program.ops import Precision, named
 from taciturn.program.translation import (
     APPLIED,
     Operands,
@@ -62,8 +62,7 @@ def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) 
     kept += [IN_EFFECT] if IN_EFFECT in policy.sizes else []
     told = {name: i for signal in kept for name, i in named(signal, tick.read(signal)).items()}
     acting = named(ACTING, tick.signals.get(ACTING, ()))
-    delays: dict[Name, int] = {Arrived(link, 0): ring.arrivals[0] for link, ring in tick.rings.items()}
-    found = {**named(APPLIED, tick.signals[APPLIED]), **acting, **copies, **told, **tick.packets(), **delays}
+    found = {**named(APPLIED, tick.signals[APPLIED]), **acting, **copies, **told, **tick.packets(), **tick.delays()}
     return tick.finish({}, found)
 
 

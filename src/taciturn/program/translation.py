@@ -50,7 +50,7 @@ from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.late import Heard, Ring, is_clocked
-from taciturn.program.ops import Entry, Name, Named, Option, Scalar, Sent, State
+from taciturn.program.ops import Arrived, Entry, Name, Named, Option, Scalar, Sent, State
 from taciturn.program.tracing import trace
 
 Operands = list[int]
@@ -420,6 +420,10 @@ class TimeStep:
         if isinstance(loss, float) and loss == 0.0:
             return sent
         return self.builder.both(sent, self.builder.greater(self.uniform(), loss))
+
+    def delays(self) -> dict[Name, int]:
+        """Return the delay of the packet of this step on each link with random delays, in pieces of a period."""
+        return {Arrived(link, 0): ring.arrivals[0] for link, ring in self.rings.items()}
 
     def delayed(self, link: str, drawn: int) -> int:
         """Return the delay of the packet of this step on a link, in pieces of a period: the one that is drawn."""
