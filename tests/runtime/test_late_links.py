@@ -134,7 +134,7 @@ def test_laws_of_links_are_checked(text: str) -> None:
 
 
 def test_what_does_not_carry_out_random_delays_refuses_them(tmp_path: Path) -> None:
-    """By name: nodes and links in real time, network namespaces, worlds, descriptions, units, and C code with delays within periods."""
+    """By name: nodes and links in real time, namespaces, worlds, descriptions, units, C with delays within periods."""
     from taciturn_worlds.world import run_world
 
     problem = pendulum()
