@@ -51,6 +51,7 @@ from taciturn.model.coverage import (
     SIMULATED,
     uncovered,
 )
+from taciturn.model.delay import WHOLE
 from taciturn.model.disturbance import padded
 from taciturn.model.expected import sensed_by
 from taciturn.model.information import check_network, unheard_acknowledgements
@@ -301,7 +302,7 @@ class Loop(Displayed):
 
     def plant_program(self) -> Program:
         """Return the program that computes stage cost, state and output of the plant alone in one step, from
-        the input.
+        the input; if packets arrive within a period, from the inputs of its pieces, one after the other.
         """
         # a state that affects neither cost nor measurement of a later step, such as a register that is measured, is an
         # output alone
@@ -309,8 +310,12 @@ class Loop(Displayed):
         tick = self._tick({"x": plant.states})
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(targets)):
             tick.take(step)
-        tick.signals["input"] = tick.supplied("input", plant.inputs)
-        tick.limited(tick.signals["input"], plant.saturation, APPLIED)
+        cuts, pieces, acting = self.network.cuts(self.policy.tick), self.problem.pieces, list[int]()
+        for cut in (0.0,) if pieces is None else pieces.cuts:  # inputs that act one after the other
+            piece = sum(begun <= cut + WHOLE for begun in cuts[1:])
+            tick.signals["input"] = tick.supplied("input", plant.inputs, piece * plant.inputs)
+            acting += tick.limited(tick.signals["input"], plant.saturation, APPLIED)
+        tick.signals |= {} if pieces is None else {ACTING: acting}
         self._load(tick)
         outputs: dict[Name, int] = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
@@ -456,6 +461,7 @@ class Loop(Displayed):
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         outputs |= self._sampled(tick, known) | named("drawn", tick.thresholds if supplied else ())
+        outputs |= tick.delays() if supplied else {}
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 

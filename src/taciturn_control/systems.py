@@ -113,6 +113,11 @@ def to_control(
         )  # fmt: skip
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
+        if len(nodes.cuts) > 1:
+            raise ProblemError(
+                f"packets on the link {' and '.join(nodes.network.late)} arrive at random within a period, and a "
+                "system of python-control has one input in each step; expected delays of whole periods, or a buffer"
+            )
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
         turns = StepFunction(translate_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
         return _system(turns, taken, {"applied": plant.inputs}, links if sent else (), plant, thing.kind, named)

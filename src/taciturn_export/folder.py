@@ -40,10 +40,21 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.c import REAL, c_literal, constant_array
 from taciturn.program.ir import Program
+from taciturn.program.late import NEVER
 from taciturn.program.missing import SAMPLED
-from taciturn.program.ops import Entry, Name, Sent, is_entry, named
+from taciturn.program.ops import Arrived, Entry, Name, Sent, is_entry, named
 from taciturn_export.library import entries_text, print_library
-from taciturn_export.node import EXPORTED, CNode, CoreSizes, identifier, link_code, print_node, table
+from taciturn_export.node import (
+    EXPORTED,
+    CNode,
+    CoreSizes,
+    check_delays,
+    identifier,
+    link_code,
+    print_node,
+    table,
+    waiting_for,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +65,8 @@ class RecordedRun(Displayed):
         links: links on which packets are sent, in the order of the columns.
         measured: measurements y, (steps, p); NaN where a sample is missing.
         drawn: uniform random numbers that the policy draws, (steps, draws).
-        arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links).
+        arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links); on a link with random delays, 1 plus
+            the delay in steps of the packet that was sent.
         sent: 1 if a packet was sent, otherwise 0, (steps, links).
         applied: inputs u that the actuators applied, (steps, m).
         order: outputs and inputs of the plant in the order in which the nodes measure and apply them.
@@ -101,7 +113,7 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
         links,
         _columns([found[name] for name in measured], steps),
         _columns([inputs[i] for i in own], steps),
-        _columns([found[Received(link)] for link in links], steps),
+        _columns([_fates(found, link) for link in links], steps),
         _columns([found[Sent(link)] for link in links], steps),
         _columns([found[Entry("applied", i)] for i in range(plant.inputs)], steps),
         entries_of_nodes(loop.policy),
@@ -116,6 +128,12 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
         if is_entry(name, SAMPLED):
             vector.measured[values == 0.0, name.index] = np.nan
     return vector
+
+
+def _fates(found: dict[Name, Array], link: str) -> Array:
+    """Return for each step 0 if no packet was sent, or it was dropped, and otherwise 1 plus its delay in steps."""
+    late = found.get(Arrived(link, 0))
+    return found[Received(link)] if late is None else np.where(late < NEVER, 1.0 + late, 0.0)
 
 
 def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
@@ -268,6 +286,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int 
     """
     policy, network, precision = loop.policy, loop.network, loop.precision
     EXPORTED.check(loop.parts)
+    check_delays(network, policy.tick)
     known = roles(policy)
     for node in nodes:
         place_of(policy, node)
@@ -291,7 +310,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int 
     texts = {file: (core / file).read_text(encoding="utf-8") for file in (*CORE, *EXCHANGE, *CHECK)}
     for node in found:
         texts |= {f"{node.name}.h": node.header, f"{node.name}.c": node.source}
-    sizes = CoreSizes.of(policy, network, WAITING, precision)
+    sizes = CoreSizes.of(policy, network, waiting_for(network, policy.tick, WAITING), precision)
     sources = [file for file in (*texts, "selfcheck_data.c") if file.endswith(".c")]
     texts |= print_library(name, policy, CORE, chosen)
     texts |= {

@@ -20,7 +20,7 @@ import numpy as np
 from taciturn import __version__
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.names import Names, Role, unit_of
 from taciturn.model.network import Network
 from taciturn.model.packets import (
@@ -50,8 +50,9 @@ from taciturn.program.ir import Program
 from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, translate_node
 from taciturn.program.ops import Precision
 
-FORMAT = 5  # version of the data, TAC_FORMAT of the core
+FORMAT = 6  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
+MOST_WAITING = 64  # steps of a random delay
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
 _SIZES = (
@@ -138,7 +139,7 @@ class NodeData(Displayed):
         for one in layout.arrivals:
             kind, link = KINDS.index(one.kind), self._links.index(one.link)
             found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
-            found += struct.pack(">I", self._interval(one))
+            found += struct.pack(">I2B", self._interval(one), one.pieces > 0, one.ages)
         for one in layout.departures:
             found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
         for place in self.program.clocks:
@@ -166,7 +167,7 @@ class NodeData(Displayed):
         )  # fmt: skip
         channels = [
             f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
-            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u}}"
+            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u, {_truth(one.pieces > 0)}, {one.ages}u}}"
             for one in layout.arrivals
         ]
         sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]
@@ -232,7 +233,7 @@ def _truth(value: bool) -> str:
     return "true" if value else "false"
 
 
-EXPORTED = Coverage(LOOPS, "exported C code does not carry out")
+EXPORTED = Coverage(LOOPS | LATE, "exported C code does not carry out")
 MOST = {
     "inputs": 0xFFFF,
     "memory": 0xFFFF,
@@ -256,6 +257,28 @@ class CNode(Displayed):
     constants: int  # number of constants
 
 
+def check_delays(network: Network, period: float) -> None:
+    """Raise an error if packets arrive within a period, or later than the buffer of a node can hold."""
+    for link in network.late:
+        law = network.random_delay(link, period)
+        most = 0 if law is None else int(np.ceil(law.waits[-1]))
+        if network.cuts(period) or most >= MOST_WAITING:
+            how = "may end within a period" if network.cuts(period) else f"are up to {most} steps"
+            raise ProblemError(
+                f"{network.key(link, 'delay')} is random, and delays {how}, which exported C code does not carry out; "
+                f"expected delays of whole periods below {MOST_WAITING} steps, or a buffer"
+            )
+
+
+def waiting_for(network: Network, period: float, least: int) -> int:
+    """Return how many packets of a link a node must be able to store: a power of two, and at least ``least``."""
+    laws = [law for link in network.links if (law := network.random_delay(link, period)) is not None]
+    longest = max((int(np.ceil(law.waits[-1])) for law in laws), default=0)
+    while least <= longest + 1:
+        least *= 2
+    return least
+
+
 def identifier(text: str) -> str:
     """Convert a name to a C identifier."""
     found = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()
@@ -277,6 +300,7 @@ def print_node(
     The header has constants for the places of measurements and inputs with names.
     """
     EXPORTED.check(policy.parts, policy.designed_for, network)
+    check_delays(network, policy.tick)
     program = translate_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
     _check_size(policy, network, program, layout)

@@ -51,13 +51,18 @@ def read_probability(name: str, text: str) -> float:
     return number(name, found, 0.0, 1.0, closed=True)
 
 
-def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[str, Fate]:
-    """Return the impairments of each link; ``--loss`` replaces the losses of the problem's network."""
+def read_fates(
+    given: Sequence[str], policy: Policy, network: Network, seed: int, period: float | None = None
+) -> dict[str, Fate]:
+    """Return the impairments of each link; ``--loss`` replaces the losses of the problem's network.
+
+    Random delays need the sampling period, in virtual time.
+    """
     from taciturn.errors import ProblemError
     from taciturn.model.steps import Send
     from taciturn_udp.relay import losses
 
-    stated = losses(network, seed)
+    stated = losses(network, seed, period=period)
     fates: dict[str, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
     seen: set[str] = set()
     for text in given:
@@ -226,7 +231,9 @@ def network(
             "--loss is given with --namespaces, but only relays apply --loss, and namespaces have no relays; expected "
             "only one of the two options"
         )
-    fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
+    fates = None if loss is None else read_fates(
+        loss, policy, problem.network, seed, policy.tick if length is None else None
+    )  # fmt: skip
     with progress_bar("running") as progress:
         found = run_network(
             file, settings=settings or (), steps=steps, tick=length, seed=seed, key=read_keys(key), fates=fates,
@@ -518,6 +525,14 @@ def relay(
     delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,
     hold: Annotated[int, typer.Option(help="In virtual time: delay of every packet in steps.")] = 0,
+    late: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LAW",
+            help="In virtual time: law of random delays as JSON, such as "
+            '`{"delays": [0, 1], "odds": [[0.8, 0.2]]}`, in pieces of a period ("pieces").',
+        ),
+    ] = None,
     duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet arrives twice.")] = "0",
     reorder: Annotated[
         str, typer.Option(metavar="P", help="Probability that a packet arrives after the next packet.")
@@ -532,6 +547,7 @@ def relay(
     """Emulate a link that drops, delays, duplicates, reorders or corrupts packets, reproducibly for a given seed."""
     from taciturn.extend import until_stopped
     from taciturn_udp.endpoint import LARGEST_OF_ALL, Endpoint, parse_address
+    from taciturn_udp.late import read_lateness
     from taciturn_udp.relay import EmulatedLink, Fate
     from taciturn_udp.relay import relay as carry
     from taciturn_udp.service import say_where
@@ -539,6 +555,7 @@ def relay(
     chances = {"loss": loss, "duplicate": duplicate, "reorder": reorder, "corrupt": corrupt}
     fate = Fate(
         seed, burst=read_burst(burst), delay=delay, jitter=jitter, hold=hold, outage=read_outage(outage),
+        late=read_lateness("--late", late),
         **{name: read_probability(f"--{name}", text) for name, text in chances.items()},
     )  # fmt: skip
     to = parse_address("--peer", peer)

@@ -21,6 +21,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import number_of
+from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.packets import plant_link
 from taciturn.model.wire import EITHER, LARGEST, SETPOINT
 from taciturn.nodes.clock import JUMPED, LATE, Phase
@@ -37,6 +38,7 @@ BLIND = 8  # steps without a measurement from the plant for which a node with a 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
+IN_REAL_TIME = Coverage(NETWORKS | INTERVALS, "nodes do not carry out in real time", "virtual time, or a buffer")
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
 SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
@@ -101,7 +103,9 @@ class NodeServer:
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
         links = [*first.program.sends, *first.inbox.links, *([] if self._plant is None else [self._plant])]
-        self.reception = Reception(wire, endpoint, first.role, links, say, draw)
+        if tick is not None:
+            IN_REAL_TIME.check(first.network)
+        self.reception = Reception(wire, endpoint, first.role, links, say, draw, stamps=tick is None)
         self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
         self.lateness: dict[str, Lateness] = {}  # of these packets, by link, as far as this node can tell

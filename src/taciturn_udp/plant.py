@@ -178,12 +178,15 @@ class PlantServer:
         }
 
     def given(self, loop: int) -> Values:
-        """Return the input that a plant applies at present, shape (m,)."""
-        values = [0.0] * self.plants[loop].inputs
+        """Return the input that a plant applies at present, shape (m,), or those of all pieces of a period in turn."""
+        pieces = max(len(one.values) // len(one.places) for one in self._inputs[loop].values())
+        values = [[0.0] * self.plants[loop].inputs for _ in range(pieces)]
         for one in self._inputs[loop].values():
-            for place, value in zip(one.places, one.values, strict=True):
-                values[place] = value
-        return tuple(values)
+            last = one.values[-len(one.places) :]
+            shown = one.values if len(one.values) > len(one.places) and one.given[1] == self._now else last * pieces
+            for i, value in enumerate(shown):
+                values[i // len(one.places)][one.places[i % len(one.places)]] = value
+        return tuple(value for row in values for value in row)
 
     def _measure(self, tick: int, again: bool = False, asked: str | None = None) -> None:
         """Send the measurements of a step, perhaps only of loops of which an input has not arrived, or of one link."""

@@ -263,4 +263,5 @@ def _options(fate: Fate) -> list[str]:
         options += ["--outage", "{},{}".format(*fate.outage)]
     if fate.burst is not None:
         options += ["--burst", law_text(fate.burst)]
+    options += [] if fate.late is None else ["--late", fate.late.text()]
     return options

@@ -29,6 +29,7 @@ from taciturn.model.wire import BACK, HEADER_SIZE, OFFSETS, PROOFS, SETPOINT, VE
 from taciturn.nodes.inbox import packet_of
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address
+from taciturn_udp.late import unstamped
 from taciturn_udp.service import QUIET, Port, Say
 
 VALID = 2  # last steps of a sender whose packets are valid after its answer, and which it sends again
@@ -72,11 +73,13 @@ class Reception:
         links: Iterable[str],
         say: Say | None = None,
         draw: Callable[[], int] | None = None,
+        stamps: bool = False,
     ) -> None:
-        """Start without proofs."""
+        """Start without proofs. With ``stamps``, links in virtual time state how late packets are (``late``)."""
         if wire.keys is not None:
             wire.keys.check(name, links)
         self._wire, self._port, self._name = wire, port, name
+        self._stamps = stamps
         self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
         self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
         self.counters: Counter[str] = Counter()  # challenges sent and answered, proofs received, answers not asked for
@@ -88,9 +91,10 @@ class Reception:
         if changed is not None:
             self._tell(changed)
         for datagram, sender in received:
+            datagram, late = unstamped(datagram) if self._stamps else (datagram, 0)
             packet = self._wire.decode(datagram)
             if isinstance(packet, Packet):
-                yield packet, sender
+                yield packet._replace(late=late) if late else packet, sender
                 continue
             self.refused[packet] += 1
             sentence = disagreement(self._name, packet, self._wire.keyed, sender, datagram)

@@ -17,16 +17,20 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, count, instance, number
-from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
+from taciturn.model.coverage import INTERVALS, LATE, NETWORKS, Coverage
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
 from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
 from taciturn_udp.endpoint import Address
+from taciturn_udp.late import Lateness, stamped
 from taciturn_udp.service import IDLE, QUIET, Port
 
 _WORD = (1 << 64) - 1
-_LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT = range(1, 9)
-EMULATED = Coverage(NETWORKS | INTERVALS, "running links do not emulate")
+_LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT, _LATE, _PIECE = range(1, 11)
+EMULATED = Coverage(
+    NETWORKS | INTERVALS, "links emulate only between nodes in virtual time", "virtual time, or a link with a buffer"
+)
+DELAYED = Coverage(EMULATED.names | LATE, "running links do not emulate")
 MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
 
 
@@ -45,6 +49,7 @@ class Fate(Displayed):
         reorder: probability that a packet is delivered after its successor.
         corrupt: probability that one to three bits of a packet are inverted.
         outage: (first, end): every packet of a step in first ≤ step < end is dropped.
+        late: law of random delays; for runs in virtual time.
 
     Raises:
         ProblemError: a probability is outside [0, 1], a time is negative, loss and burst are both given, or an outage
@@ -65,6 +70,7 @@ class Fate(Displayed):
     reorder: float = 0.0
     corrupt: float = 0.0
     outage: tuple[int, int] | None = None
+    late: Lateness | None = None
     _last: tuple[int, int] = field(default=(-1, 0), init=False, repr=False, compare=False)  # step, its state
 
     def __post_init__(self) -> None:
@@ -93,6 +99,14 @@ class Fate(Displayed):
         chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
         return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
 
+    def late_by(self, sequence: int, tick: int, loop: int = 0) -> int | None:
+        """Return the random delay of a packet in pieces of a period, or None if it never arrives."""
+        law = self.late
+        if law is None or law.sequence:
+            return 0 if law is None else law.replayed(tick, lambda index: self.uniform(_PIECE, index))
+        state = 0 if self.burst is None else self._state_at(self.burst, tick)
+        return law.drawn(self.uniform(_LATE, of_loop(sequence, loop)), state)
+
     def _state_at(self, burst: LossLaw, tick: int) -> int:
         """Return the state of the link in a step, from the last earlier step at which all histories coincide."""
         known, state = self._last
@@ -111,9 +125,17 @@ class Fate(Displayed):
         return reached[state]
 
 
-def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | None] | None = None) -> dict[str, Fate]:
-    """Return the impairments of each link of a network, including an outage, in which a link drops every packet."""
-    EMULATED.check(network)
+def losses(
+    network: Network,
+    seed: int,
+    outages: Mapping[str, tuple[int, int] | None] | None = None,
+    period: float | None = None,
+) -> dict[str, Fate]:
+    """Return the impairments of each link of a network, including an outage, in which a link drops every packet.
+
+    Random delays need the sampling period in which virtual time counts them.
+    """
+    (EMULATED if period is None else DELAYED).check(network)
     links = tuple(reversed(tuple(network.links)))
     return {
         link: Fate(
@@ -121,6 +143,7 @@ def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | 
             loss=0.0 if network.burst(link) else network.loss(link),
             burst=network.burst(link),
             outage=(outages or {}).get(link),
+            late=None if period is None else Lateness.of(network, link, period),
         )
         for i, link in enumerate(links)
     }
@@ -171,7 +194,8 @@ class EmulatedLink:
             return self._out(free)
         self.counters["received"] += 1
         fate = self.fate
-        if fate.lost(sequence, tick, loop):
+        late = None if fate.lost(sequence, tick, loop) else fate.late_by(sequence, tick, loop)
+        if late is None:
             self.counters["lost"] += 1
             return []
         sequence = of_loop(sequence, loop)
@@ -188,6 +212,8 @@ class EmulatedLink:
         elif self._swapped is not None:
             copies.append(self._swapped)
             self._swapped = None
+        if fate.late is not None:
+            tick, copies = tick + late // fate.late.pieces, [stamped(copy, late) for copy in copies]
         return self._send(copies, sequence, tick, now)
 
     def release(self, now: float) -> list[bytes]:
@@ -199,7 +225,7 @@ class EmulatedLink:
 
     def _send(self, copies: list[bytes], sequence: int, tick: int, now: float) -> list[bytes]:
         fate = self.fate
-        if fate.hold:
+        if fate.hold or fate.late is not None:
             self._held += [(tick + fate.hold, datagram) for datagram in copies]
             return []
         if fate.delay == 0.0 and fate.jitter == 0.0:

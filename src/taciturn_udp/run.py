@@ -109,7 +109,8 @@ def run_network(
     if fates is not None:
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
-    chosen = fates if fates is not None else losses(problem.network, seed)
+    stated = losses(problem.network, seed, period=policy.tick if tick is None and not namespaces else None)
+    chosen = fates if fates is not None else stated
     relayed = {**losses(Network(), seed), **chosen}
     lost = {link: _dropped(one) for link, one in drops.items()} if namespaces else _foreseen(relayed)
     began = time.monotonic()
@@ -164,7 +165,7 @@ def run_network(
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
     rates = {link: rate_of_ticks(loop, sends[link]).scaled(pace) for link in policy.scheduled if link in sends}
-    differences = loop.violated_assumptions + _other_links(chosen, losses(problem.network, seed))
+    differences = loop.violated_assumptions + _other_links(chosen, stated)
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),

@@ -283,6 +283,12 @@ class SmallInbox(Inbox):
             return super().take(packet, past)
 
     def _wait(self, stream: Stream, packet: Packet) -> None:
+        for tick in [t for t in stream.waiting if stream.pieces and t % WAITING == packet.tick % WAITING]:
+            if tick != packet.tick:  # of two late packets, the newer keeps the place
+                self.counters["superseded"] += 1
+                if tick > packet.tick:
+                    return None
+                del stream.waiting[tick]
         for tick in [t for t in stream.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
             if self.past < 0 and tick > packet.tick:
                 return self._miss(stream, packet)

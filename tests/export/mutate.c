@@ -64,8 +64,8 @@ static const tac_shape shapes[SHAPES] = {
     {TAC_MEASUREMENT, TAC_PLANT_LINK, TAC_ENCODED_FLOAT64, 6U, NULL, NULL, true},
 };
 static const tac_channel_data channel_data[CHANNELS] = {
-    {TAC_DATA, TAC_SENSOR_LINK, 1U, 0U, 3U, true, 1U, 0U},
-    {TAC_ACKNOWLEDGEMENT, TAC_ACTUATOR_LINK, 1U, 1U, 0U, false, 9U, 0U},
+    {TAC_DATA, TAC_SENSOR_LINK, 1U, 0U, 3U, true, 1U, 0U, false, 0U},
+    {TAC_ACKNOWLEDGEMENT, TAC_ACTUATOR_LINK, 1U, 1U, 0U, false, 9U, 0U, false, 0U},
 };
 static const tac_send_data send_data[1] = {{TAC_ACTUATOR_LINK, 4U, 0U}};
 static const uint16_t following[5] = {1U, 2U, 3U, 4U, 2U};

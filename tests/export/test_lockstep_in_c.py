@@ -29,6 +29,8 @@ OPTIONS = ("-std=gnu99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=of
 class NothingIsLost:
     """What becomes of packets on a link without relay."""
 
+    late = None
+
     def lost(self, sequence: int, tick: int) -> bool:
         """Whether a packet is lost."""
         return False
@@ -65,7 +67,7 @@ def test_a_node_in_c_does_not_stop_a_loop_in_virtual_time(
     program = compile_lockstep(file, in_c, tmp_path)
     problem = taciturn.load(file)
     policy = problem.design()
-    monkeypatch.setattr("runtime.loops.losses", lambda *_: dict.fromkeys(("sensor", "actuator"), NothingIsLost()))
+    monkeypatch.setattr("runtime.loops.losses", lambda *_, **__: dict.fromkeys(("sensor", "actuator"), NothingIsLost()))
     expected = by_hand(file, STEPS, SEED)
     wire, here = Wire(policy, problem.network), roles(policy)
     ends = {name: Endpoint(("127.0.0.1", 0)) for name in ("plant", *(role for role in here if role != in_c))}

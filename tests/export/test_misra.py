@@ -36,7 +36,7 @@ def test_a_planted_deviation_is_found(tmp_path: Path) -> None:
     folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
     source = folder / "taciturn_outbox.c"
     text = source.read_text(encoding="ascii")
-    assert text.count("packet.entries = 0U;") == 2
+    assert text.count("packet.entries = 0U;") == 1
     source.write_text(text.replace("packet.entries = 0U;", "packet.entries = 00;", 1), encoding="ascii")
     new = set(misra.counts(misra.places(folder, [source.name]))) - set(misra.of_version(misra.table(), checked))
     assert "7.1" in new

@@ -19,6 +19,7 @@ from export.devices import WIDTH, Device, Library, compile_node, with_small_inbo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
+from runtime.late import pendulum
 from systems import make_system
 
 import taciturn
@@ -88,6 +89,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "int16": cache(lambda: lossy(payload="int16", sensor_range=40.0, actuator_range=20.0)),
     "delayed": cache(lambda: closed(POLICIES["lossy tcp, delayed"](make_system(11, 3, 2, 2, True)))),
     "stochastic": cache(lambda: closed(POLICIES["stochastic"](make_system(11, 3, 2, 2, False)))),
+    "late": cache(lambda: pendulum({"delta": 0.05}).close(pendulum({"delta": 0.05}).design())),
     "remote": cache(lambda: closed(POLICIES["remote"](make_system(11, 3, 2, 2, False)))),
     "told": cache(lambda: everything(1)),
     "untold": cache(lambda: everything(3)),
@@ -179,6 +181,16 @@ class Pair:
         marks = () if self.every is None or not self.later else self.host.mark(self.every)
         expected = {(packet.kind, packet.link): packet for packet in (*stepped.packets, *marks)}
         found = [self.wire.decode(datagram) for datagram in self.device.send()]
+        for link in self.host.acknowledges if self.case.network.late else ():
+            expected.pop(("acknowledgement", link), None)
+            told = [packet for packet in stepped.packets if packet.kind == "acknowledgement"]
+            own = [packet for packet in found if isinstance(packet, Packet) and packet.kind == "acknowledgement"]
+            found = [packet for packet in found if packet not in own]
+            first = self.numbers.get(("acknowledgement", link), 0)
+            assert [packet.sequence for packet in own] == [*range(first, first + len(own))]
+            after = [(packet.tick, min(packet.values[0], 255.0)) for packet in told]  # all packets that were read
+            assert sorted((packet.tick, *packet.values) for packet in own) == sorted(after)[-len(own) or len(after) :]
+            self.numbers["acknowledgement", link] = first + len(own)
         assert sorted(map(str, found)) == sorted(
             str(packet._replace(sequence=self.numbers.get(name, 0))) for name, packet in expected.items()
         )

@@ -94,22 +94,33 @@ def by_hand(file: str | Problem, ticks: int, seed: int) -> np.ndarray:
 def in_this_process(file: str | Problem, ticks: int, seed: int) -> tuple[np.ndarray, Mapping[str, Node]]:
     """Return the same costs, and the nodes after the last step."""
     problem = taciturn.load(file) if isinstance(file, str) else file
-    policy, fates = problem.design(), losses(problem.network, seed)
+    policy = problem.design()
+    fates = losses(problem.network, seed, period=policy.tick)
     nodes = {role: Node(policy, role, network=problem.network, seed=seed) for role in roles(policy)}
     plant, boxes = SimulatedPlant(problem.close(policy), seed), {role: list[Packet]() for role in nodes}
-    u, costs = np.zeros(policy.model.inputs), np.empty(ticks)
+    u, costs = np.zeros((plant.pieces, policy.model.inputs)), np.empty(ticks)
+    flying: list[tuple[int, Packet]] = []  # packets on links with random delays, with the step of their arrival
     for tick in range(ticks):
         for role, node in nodes.items():
             box, boxes[role] = boxes[role], []
+            box += [packet for due, packet in flying if due == tick and packet.link in node.program.hears]
             y = [plant.measurement[i] for i in outputs_at(policy, role)]
             packets, given = node.step(tick, y if node.measures else None, box)
-            u[inputs_at(policy, role)] = u[:0] if given is None else given
+            if given is not None:
+                u[:, inputs_at(policy, role)] = np.reshape(given, (node.pieces, -1))
             for packet in packets:
                 ends = {name: node.program.hears for name, node in nodes.items()}
                 if packet.kind == "acknowledgement":
                     ends = {name: node.program.sends for name, node in nodes.items()}
-                elif fates[packet.link].lost(packet.sequence, tick):  # type: ignore[index]
+                elif (fate := fates[packet.link]).lost(packet.sequence, tick):  # type: ignore[index]
                     continue
+                elif fate.late is not None:
+                    late = fate.late_by(packet.sequence, tick)
+                    due = -1 if late is None else tick + late // fate.late.pieces
+                    packet = packet._replace(late=late or 0)
+                    if due != tick:
+                        flying.append((due, packet))
+                        continue
                 boxes[next(name for name, links in ends.items() if packet.link in links)].append(packet)
-        costs[tick] = plant.move(u.tolist())
+        costs[tick] = plant.move(u.ravel().tolist())
     return costs, nodes

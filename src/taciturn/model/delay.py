@@ -204,11 +204,12 @@ class DelayLaw(Displayed):
         """Describe the law in a few words, for the display of a link."""
         return self.text()
 
-    def averaged(self, shares: Array) -> DelayLaw:
-        """Return the law of a link whose states have these shares of the steps, without its states."""
+    def mixed(self, weights: Array) -> DelayLaw:
+        """Return the law of a packet that is delayed in one of the states of the link, with given weights."""
         if len(self.odds) == 1:
             return self
-        return replace(self, odds=(tuple((shares @ np.array(self.odds)).tolist()),))
+        row = weights @ np.array(self.odds) / weights.sum()
+        return replace(self, odds=(tuple(row.tolist()),))
 
     def of_states(self, states: int) -> DelayLaw:
         """Return the law with a row for each of ``states`` states of the link."""

@@ -73,6 +73,8 @@ def check_network(policy: Policy, network: Network) -> None:
             )
     for link in network.late:
         expect_held(policy, network, link)
+    for link in dict.fromkeys(on.link for on in _conditions(policy) if isinstance(on, Acted)):
+        _expect_told(policy, network, link)
     packet_shapes(policy, network)
     _expect_within_ranges(policy, network)
     carrying = links_of(policy)
@@ -117,6 +119,18 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
             f"{told}, but the policy {policy.kind} needs to know at the end of a step whether its packet on the {link} "
             "link has arrived; expected no delay, the policy kind excess with actuation = 'hold', or a link without "
             f"acknowledgements ({network.key(link, 'acknowledged')})"
+        )
+
+
+def _expect_told(policy: Policy, network: Network, link: str) -> None:
+    """Raise an error unless the acknowledgements of a link tell in which pieces of the design packets arrive."""
+    pieces, designed = network.cuts(policy.tick), policy.network.cuts(policy.tick)
+    if link not in network.late or pieces != designed:
+        raise ProblemError(
+            f"this {policy.kind} policy uses the times of arrival that the {link} link acknowledges, with random "
+            f"delays that end at the parts {list(designed or (0.0,))} of a period, but {network.key(link, 'delay')} "
+            f"{'is not random' if link not in network.late else f'ends at the parts {list(pieces or (0.0,))}'}; "
+            "expected delays with the parts of the design"
         )
 
 

@@ -28,7 +28,7 @@ from taciturn._arrays import Array, count, flag, instance, number, quoted
 from taciturn._display import Displayed
 from taciturn._text import number_of, percent
 from taciturn.errors import ProblemError
-from taciturn.model.delay import DelayLaw
+from taciturn.model.delay import WHOLE, DelayLaw
 from taciturn.model.key import stated_as
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
@@ -519,13 +519,17 @@ class Network(Displayed):
         return replace(self, links=links)
 
     def without_bursts(self) -> Network:
-        """Return a copy of the network whose losses are independent instead of bursty, with the same mean."""
-        changes = dict[str, dict[str, Any]]()
+        """Return a copy of the network whose losses and delays are independent instead of bursty, with the same
+        mean.
+        """
+        laws: dict[str, dict[str, Any]] = {}
         for name, law in self.links.items():
             if law.burst is not None:
-                delay = law.delay and law.delay.averaged(law.burst.start)
-                changes[name] = {"loss": law.mean_loss, "burst": None, "delay": delay}
-        return self.changed(changes)
+                laws[name] = {"loss": law.mean_loss, "burst": None}
+                arriving = law.burst.start * (1.0 - law.burst.losses)  # share of the packets that each state delays
+                delay = None if law.delay is None else law.delay.mixed(arriving)
+                laws[name] |= {"delay": delay}
+        return self.changed(laws)
 
     @property
     def rounded(self) -> bool:
@@ -580,8 +584,9 @@ class Network(Displayed):
     def cuts(self, period: float) -> tuple[float, ...]:
         """Return the parts of a period at which packets to actuators may arrive, if delays are random; else nothing."""
         laws = [self.random_delay(name, period) for name in self.links if self.nodes[name].applies]
-        parts = {wait % 1.0 for law in laws if law is not None for wait in law.waits}
-        return tuple(sorted(parts | {0.0})) if parts - {0.0} else ()
+        parts = sorted({0.0, *(wait % 1.0 for law in laws if law is not None for wait in law.waits)})
+        found = tuple(part for i, part in enumerate(parts) if i == 0 or part - parts[i - 1] > WHOLE)
+        return found if len(found) > 1 else ()
 
     def delayed_as(self, other: Network) -> Network:
         """Return a copy of the network whose links have the delays of those of another network.

@@ -167,15 +167,22 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
             (whole,) = network.encoding(step.link).parts([entries])
             shapes |= {
                 ("data", step.link): (whole, entries),
-                ("acknowledgement", step.link): (exact, 0),
+                ("acknowledgement", step.link): (exact, int(step.link in network.late)),  # its delay, in pieces
                 ("mark", step.link): (exact, 0),
             }
     for link, ends in plant_links(policy).items():
-        sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs)}
+        acting = 1 if ends.applies is None else acting_pieces(policy, network, ends.applies)
+        sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs) * acting}
         shapes |= {(kind, link): (exact, size) for kind, size in sizes.items() if size}
         shapes |= {("mark", link): (exact, 0)}
         shapes |= operator_shapes(link, len(ends.outputs), policy.model.inputs) if link == SETPOINT else {}
     return shapes
+
+
+def acting_pieces(policy: Policy, network: Network, role: str) -> int:
+    """Return how many inputs a process applies one after the other within a step, if packets arrive within periods."""
+    late = any(network.receiver(link) in policy.site(role) for link in network.late)
+    return len(network.cuts(policy.tick) or (0.0,)) if late else 1
 
 
 def carries_samples(kind: str, link: str) -> bool:

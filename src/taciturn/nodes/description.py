@@ -14,18 +14,19 @@ from typing import Any
 
 import numpy as np
 
+from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, place_of, roles, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Send
 from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, OFFSETS, PERSON, TAG_SIZE, VERSION
 from taciturn.nodes.inbox import AHEAD, WIDTH
-from taciturn.nodes.packet import WIRED
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.node import lay_out, translate_node
 from taciturn.program.ops import State, needed, text_of, tiles
 
+DESCRIBED = Coverage(NETWORKS | INTERVALS, "the description of packets and nodes does not contain")
 _DESCRIBED = 2  # version of the description
 
 
@@ -40,7 +41,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
     Raises:
         ProblemError: the nodes of the policy cannot be separated.
     """
-    WIRED.check(network)
+    DESCRIBED.check(network)
     links = wire_links(policy)
     header: list[dict[str, object]] = []
     for entry in HEADER:

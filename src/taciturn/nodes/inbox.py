@@ -11,6 +11,7 @@
 | is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
 | has set-points of a simulated plant, although an operator has given others | `overruled`, dropped |
+| comes over a link with random delays | waits for the step in which it arrives; the newest one is `used`, an older one `superseded` |
 
 An operator does not know the number of the step. So the set-points and manual inputs of an operator take effect in the
 next step, and of two packets that arrive before it, the later one by its sequence number; an earlier one is
@@ -18,6 +19,10 @@ next step, and of two packets that arrive before it, the later one by its sequen
 
 The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
 decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
+
+On a link with random delays, a packet has the number of pieces of a period after which it arrives (``Packet.late``), and
+so has its acknowledgement. The step that hears it takes for each piece the newest packet that has arrived, and
+acknowledges all packets that are newer than those of earlier steps.
 """  # noqa: E501  # the rows of a ta"""
 
 from __future__ import annotations
@@ -31,6 +36,7 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.wire import BACK, LARGEST, SETPOINT, fits
 from taciturn.nodes.packet import Packet
+from taciturn.program.late import NEVER
 from taciturn.program.node import Arrival
 
 WIDTH = 1024  # width of the window in sequence numbers
@@ -95,6 +101,8 @@ class Stream(Displayed):
     at: int  # index of the first of its inputs of the node: whether a packet arrived, followed by the payload
     size: int  # number of entries of the payload
     part: int  # part of the step that reads the packets
+    pieces: int = 0  # if delays are random: the pieces of a step, in each of which a packet may arrive; otherwise 0
+    ages: int = 0  # and of acknowledgements, the number of ages of packets whose arrival is told
     kept: bool = False  # whether the last payload remains in effect until another packet arrives, as for set-points
     ordered: bool = False  # whether packets take effect at once, in the order of their sequence numbers
     window: Window = field(default_factory=Window)  # window over the sequence numbers received
@@ -103,12 +111,25 @@ class Stream(Displayed):
     missing: int = 0  # number of missing sequence numbers when the packets were last read
     newest: int = -1  # step of the newest packet that a step has read; older packets are never used
 
+    def dated(self, packet: Packet, first: int) -> Packet:
+        """Return a packet on a link with random delays, which arrives in a step from ``first`` on at the earliest.
+
+        An acknowledgement states when its packet arrived, and may be too late.
+        """
+        if packet.kind == "acknowledgement":
+            (told,) = packet.values
+            return packet._replace(late=int(min(max(told, 0.0), NEVER)))
+        return packet._replace(late=max(packet.late, (first - packet.tick) * self.pieces))
+
 
 def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
     """Create the streams of packets that a node receives: one for each kind of packet and each link."""
     kept, operated = ("measurement", "setpoint", "manual"), ("setpoint", "manual")
     found = {
-        (a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind in kept, a.kind in operated) for a in arrivals
+        (a.kind, a.link): Stream(
+            a.lag, a.at, a.size, a.part, a.pieces, a.ages, kept=a.kind in kept, ordered=a.kind in operated
+        )
+        for a in arrivals
     }
     if BY_HAND in found:  # an operator numbers all packets together
         found[BY_HAND].window = found[OPERATOR].window
@@ -178,7 +199,9 @@ class Inbox:
             self.counters["marks"] += 1
             self.marked[packet.link] = max(self.marked[packet.link], packet.tick)
             return "marks"
-        if packet.tick > past - stream.lag:
+        if stream.pieces:
+            packet = stream.dated(packet, past + 1 - stream.lag)
+        if due_step(packet, stream) > past - stream.lag:
             self._wait(stream, packet)
             return "waiting"
         self._miss(stream, packet)
@@ -217,6 +240,9 @@ class Inbox:
                 self._collect_kept(stream, tick, inputs)
                 continue
             wanted = tick - stream.lag
+            if stream.pieces:
+                found += self._collect_late(stream, wanted, inputs)
+                continue
             for old in [number for number in stream.waiting if number < wanted]:
                 self._miss(stream, stream.waiting.pop(old))
             packet = stream.waiting.pop(wanted, None)
@@ -234,6 +260,38 @@ class Inbox:
             arrived = (0.0,) * (1 + stream.size) if packet is None else (1.0, *packet.values)
             inputs[stream.at : stream.at + 1 + stream.size] = arrived
         return found
+
+    def _collect_late(self, stream: Stream, wanted: int, inputs: list[float]) -> list[Packet]:
+        """Copy the packets that arrive in a step to the inputs, for each piece the newest one; return those in time.
+
+        Of acknowledgements, copy for each age the piece in which the packet of this age has arrived.
+        """
+        come = [packet for packet in stream.waiting.values() if due_step(packet, stream) <= wanted]
+        for packet in come:
+            del stream.waiting[packet.tick]
+        stream.missing = stream.window.missing
+        if stream.ages:
+            inputs[stream.at : stream.at + stream.ages] = [NEVER] * stream.ages
+            for packet in come:
+                if due_step(packet, stream) < wanted or wanted - packet.tick >= stream.ages:
+                    self._miss(stream, packet)
+                    continue
+                self.counters["used"] += 1
+                inputs[stream.at + wanted - packet.tick] = float(packet.late % stream.pieces)
+            return come
+        # a packet of a step that this node has missed is heard now
+        newer = [stream.dated(one, wanted) for one in come if one.tick > stream.newest]
+        used, size = set[int](), 1 + stream.size
+        for piece in range(stream.pieces):
+            here = [one for one in newer if one.late % stream.pieces <= piece]
+            best = max(here, key=lambda one: one.tick, default=None)
+            used |= set[int]() if best is None else {best.tick}
+            arrived = (0.0,) * size if best is None else (1.0, *best.values)
+            inputs[stream.at + piece * size : stream.at + (piece + 1) * size] = arrived
+        self.counters["used"] += len(used)
+        self.counters["superseded"] += len(come) - len(used)
+        stream.newest = max([stream.newest, *used])
+        return newer
 
     def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
         """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
@@ -321,6 +379,11 @@ class Inbox:
             self._degrade("late")
             if packet.tick > (stream.newest if stream.behind is None else stream.behind.tick):
                 stream.behind = packet
+
+
+def due_step(packet: Packet, stream: Stream) -> int:
+    """Return the step in which a packet is heard: its own, or on a link with random delays that of its arrival."""
+    return packet.tick + packet.late // stream.pieces if stream.pieces else packet.tick
 
 
 def packet_of(saved: Sequence[Any]) -> Packet:

@@ -62,7 +62,9 @@ class Stepped(NamedTuple):
     """Output of a node in one step: the packets to send, and the plant input."""
 
     packets: tuple[Packet, ...]  # packets to send
-    input: Values | None  # plant input if the node contains the actuator, else None
+    # plant input if the node contains the actuator, else None; if packets arrive within a period, one for each piece of
+    # the period (``Node.pieces``), one after the other
+    input: Values | None
 
 
 class SetPoints(NamedTuple):
@@ -134,7 +136,7 @@ class Node:
                 f"a watchdog is given for the {role}, which receives no packets; expected a node that receives packets"
             )
         self._applied = 0 if layout.applied is None else layout.applied.stop - layout.applied.start
-        self._safe = None if safe is None else _safe_input(safe, self._applied)
+        self._safe = None if safe is None else _safe_input(safe, self._applied // self.pieces, self.pieces)
         self._follows = safe is None  # the input of the policy, also while the node is silent
         self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
         self.tick = -1
@@ -181,6 +183,11 @@ class Node:
         return self._layout.applied is not None
 
     @property
+    def pieces(self) -> int:
+        """Number of inputs of the plant that the node applies one after the other in a step, usually one."""
+        return self.program.acting
+
+    @property
     def memory(self) -> dict[str, list[float]]:
         """Values of the signals that the node stores from one step to the next, by the signal's name."""
         found: dict[str, list[float]] = {}
@@ -203,12 +210,16 @@ class Node:
 
     @property
     def readings(self) -> dict[tuple[str, str], Values | None]:
-        """Payloads that the last step has read, by kind of packet and link; None if no packet arrived."""
-        inputs = self._inputs
-        return {
-            (one.kind, one.link): tuple(inputs[one.at + 1 : one.at + 1 + one.size]) if inputs[one.at] else None
-            for one in self._layout.arrivals
-        }
+        """Payloads that the last step has read, by kind of packet and link; None if no packet arrived.
+
+        On a link with random delays, it is that of the newest packet, and of acknowledgements the inputs of the step.
+        """
+        inputs, found = self._inputs, dict[tuple[str, str], Values | None]()
+        for one in self._layout.arrivals:
+            at = one.at + max(one.pieces - 1, 0) * (1 + one.size) if not one.ages else one.at
+            values = inputs[at : at + one.ages] or inputs[at + 1 : at + 1 + one.size]
+            found[one.kind, one.link] = tuple(values) if inputs[at] or one.ages else None
+        return found
 
     @property
     def set_points(self) -> SetPoints | None:
@@ -445,6 +456,7 @@ class Node:
             inputs[layout.drawn] = drawn if draws is None else draws
         outputs = self._execute(0)
         if outputs is None:
+            self._input = self._input[-(self._applied // self.pieces) :] * self.pieces if self._applied else ()
             return sent
         for link, at, size in layout.departures:
             if outputs[at]:
@@ -484,7 +496,11 @@ class Node:
         """Take the packets that a part of the step reads, and return their acknowledgements."""
         found = self.inbox.collect(part, tick, self._inputs)
         told = [packet for packet in found if packet.kind == "data" and packet.link in self.acknowledges]
-        return [self._packet("acknowledgement", packet.link, tick=packet.tick) for packet in told]
+        after = {link: bool(self.program.pieces.get(link)) for link in self.acknowledges}
+        return [
+            self._packet("acknowledgement", one.link, (float(one.late),) if after[one.link] else (), one.tick)
+            for one in told
+        ]
 
     def _turn_clocks(self, tick: int) -> None:
         """Set every periodic counter of the policy for this step."""
@@ -558,14 +574,14 @@ def by_hand(policy: Policy, values: object) -> list[float]:
     return found
 
 
-def _safe_input(safe: Safe, inputs: int) -> Values | None:
-    """Return the safe input, or None if the last input is held."""
+def _safe_input(safe: Safe, inputs: int, pieces: int) -> Values | None:
+    """Return the safe input in all pieces of a step, or None if the last input is held."""
     if safe == "hold":
         return None
     values = (0.0,) * inputs if safe == "zero" else safe
     if isinstance(values, str) or len(values) != inputs or not fits(values):
         raise ProblemError(f"the safe input is {safe!r}; expected 'hold', 'zero' or {inputs} finite numbers")
-    return tuple(float(value) for value in values)
+    return tuple(float(value) for value in values) * pieces
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from math import isnan
 from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
-from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
+from taciturn.model.coverage import INTERVALS, LATE, NETWORKS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import carries_samples, fingerprint, packet_shapes, plant_links, wire_links
 from taciturn.model.policy import Policy
@@ -50,7 +50,7 @@ from taciturn.model.wire import (
 from taciturn.nodes.keys import Keys
 
 PacketDefect: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
-WIRED = Coverage(NETWORKS | INTERVALS, "packets over UDP do not carry out")
+WIRED = Coverage(NETWORKS | INTERVALS | LATE, "packets over UDP do not carry out")
 REFUSALS: tuple[PacketDefect, ...] = ("malformed", "corrupted", "foreign", "forged")
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
@@ -76,6 +76,8 @@ class Packet(NamedTuple):
         loop: number of the loop.
         back: whether a mark, a challenge or an answer travels against the link; other kinds have one direction.
         nonce: random number of a challenge, which its answer repeats.
+        late: of a packet on a link that delays packets at random: its delay in pieces of a period, which the link or
+            the receiver states; no part of the datagram.
     """
 
     kind: PacketKind
@@ -87,6 +89,7 @@ class Packet(NamedTuple):
     loop: int = 0
     back: bool = False
     nonce: int = 0
+    late: int = 0
 
 
 class Frames:

@@ -14,7 +14,7 @@ from taciturn._modes import factor
 from taciturn._text import number_of
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.expected import sensed_by
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import REFERENCE
@@ -26,7 +26,7 @@ from taciturn.program.ops import is_entry
 from taciturn.program.python import CompiledStep, compile_python
 from taciturn.program.translation import sample_state
 
-PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not model")
+PLANT_SERVER = Coverage(LOOPS | LATE, "the simulated plant of a running loop does not model")
 
 
 class SimulatedPlant:
@@ -88,6 +88,11 @@ class SimulatedPlant:
         return self.loop.problem.plant.inputs
 
     @property
+    def pieces(self) -> int:
+        """Number of inputs that act one after the other in a step, if packets arrive within periods; usually one."""
+        return max(1, len(self.loop.network.cuts(self.loop.policy.tick)))
+
+    @property
     def tick_length(self) -> float:
         """Seconds per step; 1 if the problem states no sampling period."""
         return self.loop.problem.plant.dt or 1.0
@@ -96,16 +101,18 @@ class SimulatedPlant:
         """Advance the plant by one step with the given input, update ``measurement``, and return the cost of the step.
 
         Args:
-            inputs: input u, (m,).
+            inputs: input u, (m,); if packets arrive within periods, that of each piece of the period, one after the
+                other.
 
         Raises:
             ProblemError: the number of inputs is wrong.
             UnstableError: the state exceeds the range of floating-point numbers, or that of the plant's function.
         """
-        if len(inputs) != self.inputs:
+        if len(inputs) != self.inputs * self.pieces:
+            each = "" if self.pieces == 1 else f" in each of {self.pieces} pieces of a period"
             raise ProblemError(
-                f"the input has {number_of(len(inputs), 'entry')}; expected {number_of(self.inputs, 'entry')}, one "
-                "for each input of the plant"
+                f"the input has {number_of(len(inputs), 'entry')}; expected "
+                f"{number_of(self.inputs * self.pieces, 'entry')}, one for each input of the plant{each}"
             )
         before, u = self.state.tolist(), [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)

@@ -20,6 +20,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, flag, instance, quoted
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.delay import WHOLE
 from taciturn.model.expected import predicted_outputs, sensed_by
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
@@ -30,6 +31,7 @@ from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.node import Values, by_hand
 from taciturn.program.all_nodes import (
+    ACTING,
     HELD,
     TOLD,
     Informed,
@@ -41,9 +43,10 @@ from taciturn.program.all_nodes import (
 )
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
+from taciturn.program.late import NEVER, codes_of, is_clocked, place_of
 from taciturn.program.manual import BY_HAND, MANUAL, not_operable, operation_of
 from taciturn.program.missing import known_of
-from taciturn.program.ops import Entry, Name, Sent, is_entry
+from taciturn.program.ops import Arrived, Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.program.translation import APPLIED, link_state
 
@@ -82,6 +85,9 @@ class Nodes:
             command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
 
     Attributes:
+        cuts: parts of a period at which packets may arrive and change the input; (0.0,) if it changes at steps alone.
+        delays: after the last step, by link with random delays, the delay in steps of the packet of this step, or None
+            if none was sent or it never arrives.
         set_points: set-points in effect in the last step, (z,), within their range and ramp.
         silence: what the silence of each node that decides has cost since the start (``Life``), if the policy has a
             bound on every path. It contains neither the effect of applied inputs that differ from the commands, nor
@@ -127,6 +133,12 @@ class Nodes:
         begun, self.notes = _started(self.policy, self.network, estimate, start_input)
         self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
         model, sensed = self.policy.model, sensed_by(self.policy)
+        self.cuts = self.network.cuts(self.policy.tick) or (0.0,)
+        laws = {link: self.network.random_delay(link, self.policy.tick) for link in self.links}
+        self._waits = {
+            link: dict(zip(codes_of(law, self.cuts, is_clocked(self.network, link)), law.waits, strict=True))
+            for link, law in laws.items() if law is not None
+        }  # fmt: skip
         self._order = [index for _, outputs in sensed.values() for index in outputs]  # of the flags of the outputs
         self._copies = copies_of_inputs(self.policy)
         taken = {"y": model.sensed, REFERENCE: model.set_points, **dict.fromkeys(map(fate_of, self.links), 1)}
@@ -144,6 +156,7 @@ class Nodes:
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
+        self.delays: dict[str, float | None] = {}
         self.reference: list[float] = self.policy.model.given.tolist()
         self.set_points: list[float] = self.reference
         self._memory = self.turns.start
@@ -156,7 +169,7 @@ class Nodes:
         *,
         reference: ArrayLike | None = None,
         applied: ArrayLike | None = None,
-        fates: Mapping[str, bool] | None = None,
+        fates: Mapping[str, bool | float] | None = None,
         manual: ArrayLike | None = None,
     ) -> Array:
         """Execute one step. The dictionaries ``sent`` and ``arrived`` then show which links sent and which packets
@@ -171,14 +184,16 @@ class Nodes:
                 plant does not contain changed it. The filter, and a given controller that uses its input, take it in
                 place of their copy; default: the input that was returned.
             fates: whether the packet of this step arrives, by link, if one is sent; packets of other links are dropped
-                at random, as the network states.
+                at random, as the network states. On a link with random delays, False or the delay of the packet of
+                this step in steps, one of those of the link.
             manual: input that the controller commands in this step in place of its own, (m,), in the units of the
                 plant and within its limits; None: automatic. A packet is sent if the actuator holds another input. The
                 filter follows the input, and so do the integrals of a given controller: for an unchanged error, its
                 next command is this input.
 
         Returns:
-            Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
+            Plant input u, (m,); if packets to actuators arrive within a period, the inputs from each of its parts
+            ``cuts`` on, (parts, m). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
@@ -210,7 +225,12 @@ class Nodes:
         silence = self.policy.theory.silence
         kept = {name for one in silence.values() for name in (one.total, one.lasted)}
         self.silence = lives_of(silence, {name: _values(values, places, name).tolist() for name in kept})
-        return _values(values, places, APPLIED)
+        self.delays = {
+            name.link: None if values[i] >= NEVER else self._waits[name.link][values[i]]
+            for name, i in places if isinstance(name, Arrived)
+        }  # fmt: skip
+        acting = _values(values, places, ACTING)
+        return acting.reshape(len(self.cuts), -1) if len(acting) else _values(values, places, APPLIED)
 
     def _changes(self, applied: Array | None) -> list[float]:
         """Return the change of the controller's copies of the last input to the applied input, if it is given.
@@ -247,16 +267,31 @@ class Nodes:
         y = _checked("measurement", cast("ArrayLike", given), p)
         return y.tolist(), [float(not absent) for absent in missing]
 
-    def _told(self, fates: Mapping[str, bool]) -> list[float]:
-        """Return for each link 1 if its packet arrives, −1 if it is dropped, and 0 if its fate is drawn."""
+    def _told(self, fates: Mapping[str, bool | float]) -> list[float]:
+        """Return for each link −1 if its packet is dropped, 0 if its fate is drawn, and else 1 plus its delay."""
         instance("fates", fates, Mapping)
         for link in (link for link in fates if link not in self.links):
             raise ProblemError(
                 f"the argument 'fates' names the link {quoted(link)}; expected links on which this {self.policy.kind} "
                 f"policy sends: {', '.join(self.links)}"
             )
-        arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
+        arrives = {link: self._fate(link, fate) for link, fate in fates.items()}
         return [arrives.get(link, 0.0) for link in self.links]
+
+    def _fate(self, link: str, fate: bool | float) -> float:
+        """Return the input of the program for the fate of a packet: −1, or 1 plus its delay in pieces of a period."""
+        name, waits = f"fates[{link!r}]", self._waits.get(link)
+        if waits is None:
+            return 1.0 if flag(name, fate) else -1.0
+        if fate is False:
+            return -1.0
+        near = [code for code, wait in waits.items() if abs(wait - float(fate)) <= WHOLE]
+        if fate is True or not near:
+            raise ProblemError(
+                f"{name} is {fate}, and the {link} link delays packets at random; expected False, or the delay in "
+                f"steps: {', '.join(f'{wait:g}' for wait in waits.values())}"
+            )
+        return 1.0 + near[0]
 
     def _followed(self, reference: ArrayLike) -> list[float]:
         """Return the set-points."""
@@ -298,6 +333,9 @@ class StepFunction:
         for link in network.links:
             burst, chance = network.burst(link), draws.random(1)
             drawn[link_state(link)] = 0.0 if burst is None else float(burst.pick(chance)[0])
+            law = network.links[link].played().delay
+            if law is not None and law.sequence:
+                drawn[place_of(link)] = float(draws.integers(len(law.sequence)))
         self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)
         # a start value is a number, or the name of a link state drawn above; the caller sets the state of a plant
         self.start: Values = tuple(

@@ -19,7 +19,6 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.errors import ProblemError
 from taciturn.model.expected import sensed_by
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
@@ -32,7 +31,7 @@ from taciturn.program.ir import Builder, Program, Truth
 from taciturn.program.late import memories
 from taciturn.program.manual import OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of
-from taciturn.program.node import NODES
+from taciturn.program.node import NODES, check_pieces
 from taciturn.program.ops import Precision, named
 from taciturn.program.translation import (
     APPLIED,
@@ -62,7 +61,9 @@ def translate_policy(policy: Policy, network: Network, begin: Begin = TimeStep) 
     kept = [name for one in policy.theory.silence.values() for name in (one.total, one.lasted)]
     kept += [IN_EFFECT] if IN_EFFECT in policy.sizes else []
     told = {name: i for signal in kept for name, i in named(signal, tick.read(signal)).items()}
-    return tick.finish({}, {**named(APPLIED, tick.signals[APPLIED]), **copies, **told, **tick.packets()})
+    acting = named(ACTING, tick.signals.get(ACTING, ()))
+    found = {**named(APPLIED, tick.signals[APPLIED]), **acting, **copies, **told, **tick.packets(), **tick.delays()}
+    return tick.finish({}, found)
 
 
 def carry_out(tick: TimeStep, policy: Policy, steps: Iterable[Step], limits: Saturation | None) -> None:
@@ -81,12 +82,10 @@ def carry_out(tick: TimeStep, policy: Policy, steps: Iterable[Step], limits: Sat
 
 def _apply_pieces(tick: TimeStep, policy: Policy, limits: Saturation | None) -> None:
     """Assign to ``ACTING`` the limited inputs of all pieces of the step, one after the other."""
-    if limits is not None and limits.moves:
-        raise ProblemError(
-            "input_rate is given, and packets arrive at random within a period; expected delays of whole periods, a "
-            "buffer, or no input_rate"
-        )
-    count, whole, last = len(next(iter(tick.pieces.values()))), list[int](), tick.signals[APPLIED]
+    count, whole, last = max(map(len, tick.pieces.values())), list[int](), tick.signals[APPLIED]
+    if count == 1:
+        return
+    check_pieces(limits)
     for piece in range(count):
         found = dict[int, int]()
         for signal, (_, inputs) in policy.applied.items():
@@ -130,7 +129,7 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
     NODES.check(policy.parts, policy.designed_for, network)
     plant = policy.model
     tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)}, begin=begin)
-    tick.draw_losses(policy, network)
+    tick.draw_losses(policy, network, network.cuts(policy.tick) or (0.0,))
     p, outputs = plant.sensed, plant.outputs
     y, known = [*tick.supplied("y", p), *tick.supplied(REFERENCE, outputs - p)], dict[str, Sequence[Truth]]()
     if isinstance(tick, Informed):
@@ -145,9 +144,10 @@ class Informed(OperatedStep):
     """A time step for real plants: measurements may be missing, and the applied inputs and fates of packets given."""
 
     # Inputs of the program besides those of ``translate_policy``: for each measured signal ``known_of``, 1 or 0 for an
-    # entry; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if it is drawn; ``TOLD``,
-    # 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy enters
-    # its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
+    # entry; for each link its ``fate_of``, 1 if a packet arrives (or, if delays are random, 1 plus its delay in
+    # pieces of a period), −1 if it is dropped, and 0 if it is drawn; ``TOLD``, 1 if the input that was applied differs
+    # from the nodes' copies, and then for each signal into which a copy enters its ``change_of``. These are inputs,
+    # because a memory may be merged with another one or be left out.
 
     def correct(self, signals: Iterable[str]) -> None:
         """Correct the memories that depend on the nodes' copies of the input, if the plant received another input."""
@@ -164,6 +164,11 @@ class Informed(OperatedStep):
         b, (fate,) = self.builder, self.supplied(fate_of(link), 1)
         told, dropped = b.greater(fate, 0.0), b.greater(0.0, fate)
         return b.both(b.negated(dropped), b.either(super().arrives(link, sent), b.both(sent, told)))
+
+    def delayed(self, link: str, drawn: int) -> int:
+        """Return the delay of the packet of this step, which is given or drawn."""
+        b, (fate,) = self.builder, self.supplied(fate_of(link), 1)
+        return b.choose(b.greater(fate, 0.0), b.emit("sub", fate, b.constant(1.0)), drawn)
 
     def informed(self, policy: Policy) -> dict[str, Sequence[Truth]]:
         """Return which entries of each measured signal are known."""

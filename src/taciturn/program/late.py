@@ -13,11 +13,15 @@ dropped (c becomes NEVER). A packet of age j keeps what its signals were when it
 The receiver acts when a packet arrives: an actuator that holds its input changes it at the beginning of a piece
 (``TimeStep.pieces``), and a node that works once per step hears a packet at its next step. A sender that receives
 time-stamped acknowledgements knows at the end of a step what arrived in which piece (``Acted``).
+
+A node that runs apart from the others has no ring: its inputs are the packets that have arrived, for each piece the
+newest one (``Heard``), so that its program selects the same values. Its inbox drops the older ones (``nodes.inbox``).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -25,10 +29,12 @@ from taciturn._arrays import Array
 from taciturn.model.delay import DelayLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
-from taciturn.model.steps import Send
+from taciturn.model.steps import Received, Send
 from taciturn.program.functions import floor
 from taciturn.program.ir import Builder, Truth
+from taciturn.program.ops import Entry, Name
 
+Values: TypeAlias = list[int]  # operations that compute the entries of a signal
 NEVER = 1e6  # of a packet that does not arrive
 
 
@@ -47,6 +53,10 @@ class _Step(Protocol):
         """Draw a random number."""
         ...
 
+    def delayed(self, link: str, drawn: int) -> int:
+        """Return the delay of the packet of this step, which is the drawn one unless another is given."""
+        ...
+
 
 class Ring:
     """The packets on a link that were sent in this step or earlier, and are not yet heard."""
@@ -54,14 +64,9 @@ class Ring:
     def __init__(self, tick: _Step, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool) -> None:
         """Begin a step. The law counts in periods; a ``clocked`` receiver hears a packet only once per step."""
         self.tick, self.link, self.law, self.pieces = tick, link, law, len(cuts)
-        starts = np.array(cuts)
-        self.codes: list[float] = []
-        for wait in law.waits:
-            whole = float(np.ceil(wait)) if clocked else float(np.floor(wait))
-            piece = 0 if clocked else int(np.abs(starts - (wait - whole)).argmin())
-            self.codes.append(whole * self.pieces + piece)
+        self.codes = codes_of(law, cuts, clocked)
         self.oldest = int(max(self.codes) // self.pieces)
-        self.arrivals: list[int | None] = [None, *(tick.recall(self._arrival(age))[0] for age in self.ages)]
+        self.arrivals = {age: tick.recall(self._arrival(age))[0] for age in self.ages}  # by age; 0 when it is sent
         self.payload: dict[str, list[list[int]]] = {}
 
     @property
@@ -76,7 +81,7 @@ class Ring:
         """Take up the packet of this step, if it is sent; draw its delay."""
         tick, b = self.tick, self.tick.builder
         never = b.constant(NEVER)
-        self.arrivals[0] = b.choose(sent, self._drawn(), never)
+        self.arrivals[0] = b.choose(sent, tick.delayed(self.link, self._drawn()), never)
         for name in payload:
             now = tick.recall(name)
             older = [tick.recall(stored(self.link, name, age)) for age in self.ages]
@@ -109,9 +114,14 @@ class Ring:
 
     def acted(self, age: int, piece: int) -> Truth:
         """Return whether the packet of an age arrives in this step, before a piece of it ends."""
-        code = self.arrivals[age]
-        assert code is not None, "a packet arrives after it is sent"
-        return self.tick.builder.less_equal(code, float(piece))
+        if age > self.oldest:  # as in a loop with shorter delays than those of the design
+            return False
+        return self.tick.builder.less_equal(self.arrivals[age], float(piece))
+
+    def assigned(self, sum_of: Callable[[Mapping[str, Values]], Values], silent: Values) -> list[Values]:
+        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise."""
+        by_age = [sum_of({name: values[age] for name, values in self.payload.items()}) for age in (0, *self.ages)]
+        return [self.newest(by_age, silent, piece) for piece in range(self.pieces)]
 
     def arrived(self) -> Truth:
         """Return whether a packet arrives in this step."""
@@ -130,16 +140,63 @@ class Ring:
 
     def end(self) -> None:
         """Let the packets grow older, and drop those that are older than one that has arrived."""
+        if 0 not in self.arrivals:  # the program ends before the packet is sent
+            return
         tick, b, newer = self.tick, self.tick.builder, False
         never, step = b.constant(NEVER), b.constant(-float(self.pieces))
         for age in range(self.oldest):
-            code = self.arrivals[age]
-            assert code is not None, "every packet is sent within its step"
             newer = b.either(newer, self.acted(age, self.pieces - 1))
+            code = self.arrivals[age]
             gone = b.either(newer, b.greater(code, NEVER / 2))
             tick.signals[self._arrival(age + 1)] = [b.choose(gone, never, b.emit("add", code, step))]
             for name, values in self.payload.items():
                 tick.signals[stored(self.link, name, age + 1)] = values[age]
+
+
+class Heard:
+    """The packets that a node hears in a step, as inputs of its program: for each piece the newest one, or none."""
+
+    def __init__(self, tick: _Step, link: str, pieces: int, sizes: Mapping[str, int]) -> None:
+        """Begin a step; ``sizes`` are the numbers of entries of the signals in a packet."""
+        self.tick, self.link, self.pieces, self._sizes = tick, link, pieces, sizes
+
+    def assigned(self, sum_of: Callable[[Mapping[str, Values]], Values], silent: Values) -> list[Values]:
+        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise."""
+        b, found = self.tick.builder, list[Values]()
+        for piece in range(self.pieces):
+            here = b.greater(b.input(flag_of(self.link, piece)), 0.0)
+            packet = {
+                name: [b.input(Entry(name, i, self.link, piece)) for i in range(size)]
+                for name, size in self._sizes.items()
+            }
+            found.append([b.choose(here, *one) for one in zip(sum_of(packet), silent, strict=True)])
+        return found
+
+
+def flag_of(link: str, piece: int) -> Name:
+    """Return the name of the program input that states whether a packet has arrived in a step, before a piece ends."""
+    return Entry("arrived", 0, link, piece) if piece else Received(link)
+
+
+def codes_of(law: DelayLaw, cuts: tuple[float, ...], clocked: bool) -> list[float]:
+    """Return the delays of a law as whole numbers of pieces; a clocked receiver hears packets when a step begins."""
+    starts, found = np.array(cuts), list[float]()
+    for wait in law.waits:
+        whole = float(np.ceil(wait)) if clocked else float(np.floor(wait))
+        piece = 0 if clocked else int(np.abs(starts - (wait - whole)).argmin())
+        found.append(whole * len(cuts) + piece)
+    return found
+
+
+def is_clocked(network: Network, link: str) -> bool:
+    """Return whether the receiver of a link hears packets only when its step begins, as a controller does."""
+    return network.nodes[link].measures is not False
+
+
+def pieces_of_links(network: Network, period: float) -> dict[str, int]:
+    """Return for each link with random delays in how many pieces of a period its receiver may hear a packet."""
+    count = len(network.cuts(period) or (0.0,))
+    return {link: 1 if is_clocked(network, link) else count for link in network.late}
 
 
 def memories(policy: Policy, network: Network) -> tuple[dict[str, int], dict[str, Array | str]]:

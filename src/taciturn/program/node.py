@@ -8,29 +8,36 @@ of a decision in the first part is a state that the second part reads.
 Nodes can be separated if each packet holds what its Send found: no signal of the packet changes before it is read, all
 steps read a packet before it is sent or all after it, and no two places wait for each other within a step.
 
+A link may delay packets at random (``late``). Then a packet is heard in the step in which it arrives, and the inputs
+are the newest packet for each piece of that step. The sender is told by acknowledgements, for the packet of each age,
+in which piece of the step it arrived (``Arrived``). An actuator has an input of the plant for each piece.
+
 ``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
 
-    inputs:  measurement | 1 for each entry, or 0 if it is missing | step counters | for each link: arrived, payload
-             | acknowledgements | set-points | manual operation: 1 or 0, the manual inputs | draws
-    outputs: for each link: sent, payload | input of the plant | values of the options of triggers
+    inputs:  measurement | 1 for each entry, or 0 if it is missing | step counters | for each link and piece: arrived,
+             payload | acknowledgements, or pieces by age | set-points | manual operation: 1 or 0, the manual inputs
+             | draws
+    outputs: for each link: sent, payload | for each piece: input of the plant | values of the options of triggers
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import Literal, NamedTuple
 
 from taciturn.errors import ProblemError
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.expected import sensed_by
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import is_acknowledged, told_by
 from taciturn.model.policy import Policy
+from taciturn.model.saturation import Saturation
 from taciturn.model.set_points import IN_EFFECT
 from taciturn.model.steps import (
     Acknowledged,
+    Acted,
     Assign,
     Condition,
     Evaluate,
@@ -44,12 +51,13 @@ from taciturn.model.steps import (
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
+from taciturn.program.late import NEVER, Heard, flag_of, pieces_of_links
 from taciturn.program.manual import BY_HAND, MANUAL, OperatedStep, operation_of
 from taciturn.program.missing import complete, held_samples, known_of
-from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
+from taciturn.program.ops import Arrived, Entry, Name, Option, Precision, Sent, State, StepCounter, named
 from taciturn.program.translation import APPLIED, Operands, Payloads, encode_payloads, first_input
 
-NODES = Coverage(LOOPS, "nodes do not carry out")
+NODES = Coverage(LOOPS | LATE, "nodes do not carry out")
 _FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
 _NEVER = 1 << 62
 
@@ -72,6 +80,16 @@ class NodeProgram:
     acknowledged: tuple[str, ...]  # links whose acknowledgements the second part reads
     manual: bool  # whether an operator may give the inputs in place of a controller at the site
     sends: Mapping[str, tuple[str, ...]]  # for each link that begins at the site, the signals of its packet
+    pieces: Mapping[str, int]  # pieces of a step in which the receiver of a link hears a packet, if delays are random
+    acting: int  # pieces of a step in each of which the site may apply another input
+
+    @property
+    def ages(self) -> Mapping[str, int]:
+        """For each link whose sender is told when packets arrive, the number of ages of these packets."""
+        found: dict[str, int] = {}
+        for name in (name for part in self.parts for name in part.inputs if isinstance(name, Arrived)):
+            found[name.link] = max(found.get(name.link, 0), name.age + 1)
+        return found
 
 
 def translate_node(
@@ -83,11 +101,11 @@ def translate_node(
     _check_separable(policy)
     _expect_order(policy)
     own = [step for step in policy.steps if step.at in site]
-    payloads = encode_payloads(policy, network)
+    payloads, pieces = encode_payloads(policy, network), pieces_of_links(network, policy.tick)
     applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
     walked, operation = list[_Part](), operation_of(policy)
     for part in _parts(policy, site, own, applied.keys()):
-        walked.append(_Part(policy, payloads, walked[0].drawn if walked else 0, precision))
+        walked.append(_Part(policy, payloads, walked[0].drawn if walked else 0, precision, pieces))
         if len(walked) == 1:
             walked[0].measure(policy, site)
         if policy.network.controller in site:
@@ -95,8 +113,15 @@ def translate_node(
         for step in part:
             walked[-1].take(step)
     limits, first = policy.model.saturation, walked[0]
-    for signal, inputs in applied.items():
-        first.limited(first.recall(signal), None if limits is None else limits.of(inputs), _applied(signal))
+    acting = max(map(len, first.pieces.values()), default=1) if applied else 1
+    if acting > 1:
+        check_pieces(limits)
+    given = dict[Name, int]()
+    for piece in range(acting):
+        for signal, inputs in applied.items():
+            limit = None if limits is None else limits.of(inputs)
+            values = first.pieces[signal][piece] if signal in first.pieces else first.recall(signal)
+            given |= named(signal, first.limited(values, limit, _applied(signal)), None, piece)
     # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
     places = [place for place in policy.locations if place.on is not None and place.at in site]
     for place in places:
@@ -105,8 +130,7 @@ def translate_node(
     outputs = dict[Name, int]()
     for link, truth in first.sent.items():
         outputs |= {Sent(link): first.as_number(truth), **named(link, first.payload[link])}
-    for signal in applied:
-        outputs |= named(signal, first.recall(_applied(signal)))
+    outputs |= given
     if any(IN_EFFECT in assigned(step) for step in own):
         outputs |= named(IN_EFFECT, first.recall(IN_EFFECT))
     outputs |= first.option_values()
@@ -127,10 +151,21 @@ def translate_node(
         hears=hears,
         lag={link: _age(policy, link) + (link in late) for link in hears},
         late=late,
-        acknowledged=tuple(link for link in sends if Acknowledged(link) in read),
+        acknowledged=tuple(link for link in sends if Acknowledged(link) in read or Arrived(link, 0) in read),
         manual=operation is not None and policy.network.controller in site,
         sends={step.link: step.payload for step in own if isinstance(step, Send)},
+        pieces={link: count for link, count in pieces.items() if link in sends},
+        acting=acting,
     )
+
+
+def check_pieces(limits: Saturation | None) -> None:
+    """Raise an error if the rate of inputs is limited although they may change within a period."""
+    if limits is not None and limits.moves:
+        raise ProblemError(
+            "input_rate is given, and packets arrive at random within a period; expected delays of whole periods, a "
+            "buffer, or no input_rate"
+        )
 
 
 def _parts(policy: Policy, site: frozenset[str], own: Sequence[Step], applied: Set[str]) -> list[Sequence[Step]]:
@@ -142,9 +177,9 @@ def _parts(policy: Policy, site: frozenset[str], own: Sequence[Step], applied: S
         )
     leaves = [i for i, step in enumerate(own) if _is_output(step, applied)]
     behind = range(leaves[-1] + 1 if leaves else len(own), len(own))
-    waits = [i for i in behind if isinstance(condition_of(own[i]), Received | Acknowledged)]
+    waits = [i for i in behind if isinstance(condition_of(own[i]), Received | Acknowledged | Acted)]
     cut = waits[0] if waits else len(own)
-    if any(isinstance(condition_of(step), Acknowledged) for step in own[:cut]):
+    if any(isinstance(condition_of(step), Acknowledged | Acted) for step in own[:cut]):
         raise ProblemError(
             f"the nodes of the policy {policy.kind} cannot be separated: a node needs an acknowledgement before its "
             "last output; expected each policy step that depends on an acknowledgement after the last Send of its node"
@@ -185,7 +220,9 @@ def _with_states(
 class _Part(OperatedStep):
     """A part of the time step of one site: measurements, packets and step counters are inputs."""
 
-    def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
+    def __init__(
+        self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision, late: Mapping[str, int]
+    ) -> None:
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
         counts |= {MANUAL: 1} | {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
         start = first_input(policy, policy.model)
@@ -198,6 +235,8 @@ class _Part(OperatedStep):
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
         self._link = ""
+        for link, pieces in late.items():
+            self.late[link] = Heard(self, link, pieces, {name: self.sizes[name] for name in payloads.get(link, ())})
 
     def measure(self, policy: Policy, site: frozenset[str]) -> None:
         """Assign the signals that the site measures; a later part of the step reads them as memories."""
@@ -216,7 +255,7 @@ class _Part(OperatedStep):
             self.payload[step.link] = [value for part in parts for value in part]
 
     def hear(self, name: str) -> Operands:
-        return self.supplied(name, self.sizes[name], link=self._link)
+        return self.heard[name] if name in self.heard else self.supplied(name, self.sizes[name], link=self._link)
 
     def recall(self, name: str) -> Operands:
         if name == REFERENCE and name not in self.signals:
@@ -228,6 +267,9 @@ class _Part(OperatedStep):
             if condition not in self.outcomes:  # decided in the first part
                 self.outcomes[condition] = [self._true(flag) for flag in self.recall(_flags(condition))]
             return self.outcomes[condition]
+        if isinstance(condition, Acted):
+            arrived = self.builder.input(Arrived(condition.link, condition.age))
+            return [self.builder.negated(self.builder.less_equal(arrived, float(condition.piece)))]
         return [self.builder.negated(self._true(self.builder.input(condition)))]
 
     def place(self, name: str) -> int:
@@ -322,6 +364,10 @@ class Arrival(NamedTuple):
     size: int  # number of entries of the payload
     part: int  # index of the part of the step that reads the packet
     acknowledged: bool  # whether the receiver acknowledges packets
+    # if delays are random: the number of pieces, in each of which the inputs contain the newest packet that has
+    # arrived; or for acknowledgements, the number of ages, for each of which there is one input; otherwise 0
+    pieces: int = 0
+    ages: int = 0
 
 
 class Departure(NamedTuple):
@@ -365,11 +411,15 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     for link, signals in program.hears.items():
         payload = [Entry(signal, i, link) for signal in signals for i in range(sizes[signal])]
         place = len(names), len(payload), int(link in program.late)
-        arrivals.append(Arrival("data", link, program.lag[link], *place, is_acknowledged(policy, link)))
-        names += [Received(link), *payload]
+        pieces = program.pieces.get(link, 0)
+        arrivals.append(Arrival("data", link, program.lag[link], *place, is_acknowledged(policy, link), pieces))
+        for piece in range(max(pieces, 1)):
+            names += [flag_of(link, piece), *(replace(name, piece=piece) for name in payload)]
     for link in program.acknowledged:
-        arrivals.append(Arrival("acknowledgement", link, 1, len(names), 0, 1, False))
-        names.append(Acknowledged(link))
+        ages = program.ages.get(link, 0)
+        told = Arrival("acknowledgement", link, 1, len(names), min(ages, 1), 1, False)
+        arrivals.append(told._replace(pieces=program.pieces[link], ages=ages) if ages else told)
+        names += [Arrived(link, age) for age in range(ages)] or [Acknowledged(link)]
     if policy.network.controller in program.site and REFERENCE in policy.measured:
         given = [Entry(REFERENCE, i) for i in range(sizes[REFERENCE])]
         arrivals.append(Arrival("measurement", SETPOINT, 0, len(names), len(given), 0, False))
@@ -388,6 +438,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     applied = [signal for signal, (node, _) in policy.applied.items() if node in program.site]
     at = outputs.get(Entry(IN_EFFECT, 0))
     first, number = (outputs[Entry(applied[0], 0)], sum(sizes[name] for name in applied)) if applied else (0, 0)
+    number *= program.acting
     return Layout(
         inputs=tuple(names),
         measured=sum(sizes[signal] for signal in measured),
@@ -413,6 +464,7 @@ def first_inputs(policy: Policy, layout: Layout) -> list[float]:
     for one in layout.arrivals:
         if one.kind == "measurement":
             found[one.at + 1 : one.at + 1 + one.size] = policy.model.given.tolist()
+        found[one.at : one.at + one.ages] = [NEVER] * one.ages
     return found
 
 

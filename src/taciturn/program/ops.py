@@ -125,6 +125,7 @@ class Entry:
     signal: str  # the signal, or a kind of random number
     index: int  # number of the entry, from 0
     link: str | None = None  # link whose packet contains the signal; None for a signal of the node itself
+    piece: int = 0  # part of the step in which it holds, if packets arrive at random times within a step
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,17 @@ class Sent:
     """Name of the flag for a link and a step: 1 if a packet is sent, and 0 otherwise."""
 
     link: str
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Name of the delay beyond its age of a packet of an age, in pieces: the piece of this step in which it arrives.
+
+    It is as many or more than there are pieces if the packet has not arrived, or never will.
+    """
+
+    link: str
+    age: int
 
 
 @dataclass(frozen=True)
@@ -176,13 +188,15 @@ class Control:
 
 
 # A string names a single number. ``Received`` and ``Acknowledged`` name whether a packet arrived.
-Name: TypeAlias = str | Entry | Sent | Silence | Received | Acknowledged | Option | Scalar | StepCounter | Control
+Name: TypeAlias = (
+    str | Entry | Sent | Arrived | Silence | Received | Acknowledged | Option | Scalar | StepCounter | Control
+)
 Named: TypeAlias = Mapping[Name, int]  # operations by name
 
 
-def named(signal: str, values: Iterable[int], link: str | None = None) -> dict[Name, int]:
+def named(signal: str, values: Iterable[int], link: str | None = None, piece: int = 0) -> dict[Name, int]:
     """Give names to the operations that compute the entries of a signal."""
-    return {Entry(signal, i, link): value for i, value in enumerate(values)}
+    return {Entry(signal, i, link, piece): value for i, value in enumerate(values)}
 
 
 def is_entry(name: Name, *signals: str) -> TypeGuard[Entry]:
@@ -193,13 +207,16 @@ def is_entry(name: Name, *signals: str) -> TypeGuard[Entry]:
 def text_of(name: Name) -> str:
     """Write the name of an input, state, sum or output as text, for example as a key in the log of a node."""
     if isinstance(name, Entry):
-        return " ".join(filter(None, (name.link, name.signal, str(name.index))))
+        piece = f"in piece {name.piece}" if name.piece else None
+        return " ".join(filter(None, (name.link, name.signal, str(name.index), piece)))
     if isinstance(name, Sent):
         return f"sent {name.link}"
     if isinstance(name, Received):
         return f"arrived {name.link}"
     if isinstance(name, Acknowledged):
         return f"acknowledged {name.link}"
+    if isinstance(name, Arrived):
+        return f"piece in which {name.link} of age {name.age} arrived"
     if isinstance(name, Option):
         return f"option {name.decision} {name.label}"
     if isinstance(name, Scalar):

@@ -49,8 +49,8 @@ from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
-from taciturn.program.late import Ring
-from taciturn.program.ops import Entry, Name, Named, Option, Scalar, Sent, State
+from taciturn.program.late import Heard, Ring, is_clocked
+from taciturn.program.ops import Arrived, Entry, Name, Named, Option, Scalar, Sent, State
 from taciturn.program.tracing import trace
 
 Operands = list[int]
@@ -80,7 +80,7 @@ class TimeStep:
     ) -> None:
         """Start before the first policy step."""
         self.builder, self.sizes, self.initial, self.payloads = builder, sizes, initial, payloads or {}
-        self._heard: Mapping[str, Operands] = {}  # signals of an earlier packet that the current policy step reads
+        self.heard: Mapping[str, Operands] = {}  # signals of an earlier packet that the current policy step reads
         self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
@@ -92,7 +92,8 @@ class TimeStep:
         self.scalars: dict[Scalar, int] = {}  # scalar signals that a decision reads
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
         self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
-        self.late: dict[str, Ring] = {}  # packets of the links that delay them at random
+        self.rings: dict[str, Ring] = {}  # packets on their way on the links that delay them at random
+        self.late: dict[str, Ring | Heard] = {}  # those that receivers hear
         self.link_states: dict[str, int] = {}  # state of each link with bursts in this step
         self.pieces: dict[str, list[Operands]] = {}  # values, in each piece of the step, of signals that packets change
         self.locations = {location.name: location for location in locations}
@@ -106,7 +107,7 @@ class TimeStep:
 
     def hear(self, name: str) -> Operands:
         """Return the value of a signal in a packet that has arrived, rounded as the packet encodes it."""
-        return self.rounded(self._heard.get(name) or self.recall(name), self.listening[name])
+        return self.rounded(self.heard.get(name) or self.recall(name), self.listening[name])
 
     def rounded(self, values: Operands, encoding: Encoding) -> Operands:
         """Round the values of a signal as the encoding of a packet does."""
@@ -153,9 +154,8 @@ class TimeStep:
                 self.link_states[link] = self.read(link_state(link))[0]
                 self.losses[link] = self.loss_by(burst, link_state(link))
             law = network.random_delay(link, policy.tick)
-            if law is not None:
-                clocked = network.nodes[link].measures is not False
-                self.late[link] = Ring(self, link, law, cuts, clocked)
+            if law is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
+                self.late[link] = self.rings[link] = Ring(self, link, law, cuts, is_clocked(network, link))
 
     def loss_by(self, law: LossLaw | float, name: str) -> Coefficient:
         """Return the loss probability in this step. A memory with the given name holds the state of a bursty law."""
@@ -203,17 +203,18 @@ class TimeStep:
             self._send(step)
         self.listening = {}
 
-    def _assign_late(self, step: Assign, ring: Ring) -> None:
+    def _assign_late(self, step: Assign, packets: Ring | Heard) -> None:
         """Assign a signal that the newest packet of a link changes, at the beginning of a piece of the step."""
         listening, self.listening = self.listening, {}
-        silent, by_age = self.combine(step.branches[0], step.size), list[Operands]()
+        silent = self.combine(step.branches[0], step.size)
         self.listening = listening
-        for age in (0, *ring.ages):
-            self._heard = {name: values[age] for name, values in ring.payload.items()}
-            by_age.append(self.combine(step.branches[1], step.size))
-        self._heard = {}
-        self.pieces[step.signal] = [ring.newest(by_age, silent, piece) for piece in range(ring.pieces)]
-        self.signals[step.signal] = self.pieces[step.signal][-1]
+
+        def sum_of(packet: Mapping[str, Operands]) -> Operands:
+            self.heard = packet
+            return self.combine(step.branches[1], step.size)
+
+        self.pieces[step.signal] = packets.assigned(sum_of, silent)
+        self.signals[step.signal], self.heard = self.pieces[step.signal][-1], {}
 
     def _follow_pieces(self, step: Assign) -> None:
         """Compute the values of a sum in each piece of the step, if it contains a signal that packets change in one."""
@@ -263,7 +264,7 @@ class TimeStep:
             return self.outcomes[condition]
         link = condition.link
         if isinstance(condition, Acted):
-            return [self.builder.negated(self.late[link].acted(condition.age, condition.piece))]
+            return [self.builder.negated(self.rings[link].acted(condition.age, condition.piece))]
         if link not in self.arrived:  # before its Send, a condition refers to the packet of the previous step
             name = _arrival(link)
             self.memories[name] = self._remember(name, 1)
@@ -317,7 +318,7 @@ class TimeStep:
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
-        for ring in self.late.values():
+        for ring in self.rings.values():
             ring.end()
         for link, truth in self.arrived.items():
             self.signals[_arrival(link)] = [self.as_number(truth)]
@@ -406,9 +407,10 @@ class TimeStep:
             name in self.measured for name in step.payload
         ):  # there is nothing to send without a sample
             sent = self.builder.negated(self._none(self.measured[name] for name in step.payload))
-        if step.link in self.late:
-            self.late[step.link].send(self.arrives(step.link, sent), tuple(self.payloads.get(step.link, {})))
-            self.sent[step.link], self.arrived[step.link] = sent, self.late[step.link].arrived()
+        ring = self.rings.get(step.link)
+        if ring is not None:
+            ring.send(self.arrives(step.link, sent), tuple(self.payloads.get(step.link, {})))
+            self.sent[step.link], self.arrived[step.link] = sent, ring.arrived()
             return
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
@@ -418,6 +420,14 @@ class TimeStep:
         if isinstance(loss, float) and loss == 0.0:
             return sent
         return self.builder.both(sent, self.builder.greater(self.uniform(), loss))
+
+    def delays(self) -> dict[Name, int]:
+        """Return the delay of the packet of this step on each link with random delays, in pieces of a period."""
+        return {Arrived(link, 0): ring.arrivals[0] for link, ring in self.rings.items()}
+
+    def delayed(self, link: str, drawn: int) -> int:
+        """Return the delay of the packet of this step on a link, in pieces of a period: the one that is drawn."""
+        return drawn
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:

@@ -174,7 +174,7 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
     measured[i] = state->missing[fmu_outputs[i]] ? (tac_real)NAN : (tac_real)state->measured[fmu_outputs[i]];
   }
-  if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, state->sent) <
+  if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, NULL, state->sent) <
       state->exchange.count) {
     state->phase = FMU_TERMINATED;
     return "a node does not go on; expected a reset";

@@ -22,12 +22,15 @@ static bool step(uint64_t tick, const tac_real *row)
   const tac_real *applied = expected + selfcheck_link_count;
   bool lost[TAC_LINKS];
   bool sent[TAC_LINKS];
+  uint16_t late[TAC_LINKS]; /* a row has 1 plus the delay of a packet, or 0 if it is dropped */
   tac_real input[NUMBERS];
   memset(lost, 0, sizeof lost);
+  memset(late, 0, sizeof late);
   for (size_t i = 0; i < selfcheck_link_count; ++i) {
     lost[selfcheck_links[i]] = !(arrived[i] > 0);
+    late[selfcheck_links[i]] = (uint16_t)((arrived[i] > 1) ? arrived[i] - 1 : 0);
   }
-  const size_t done = tac_exchange_step(&exchange, tick, row, drawn, lost, sent);
+  const size_t done = tac_exchange_step(&exchange, tick, row, drawn, lost, late, sent);
   if (done < exchange.count) {
     printf("step %lu: the %s does not continue\n", (unsigned long)tick, selfcheck_nodes[done].name);
     return false;

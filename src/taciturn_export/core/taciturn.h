@@ -54,7 +54,10 @@ extern "C" {
 #endif
 
 /* Packets of one kind on one link that a node receives. Part `part` of a step reads the packet of the step `lag` steps
- * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. */
+ * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. A link that is
+ * `late` delays packets at random: a step reads the newest packet that has arrived since the last step, unless it has
+ * read a newer one. Acknowledgements tell in which step a packet arrived. Then there is an input for each age of a
+ * packet, from 0 on: 0 if this packet arrived in the step, and TAC_NEVER if not. */
 typedef struct {
   uint8_t kind;
   uint8_t link;
@@ -64,10 +67,13 @@ typedef struct {
   bool acknowledged; /* whether the node acknowledges received packets */
   uint16_t at;
   uint32_t interval; /* largest number of steps between two packets of the sender; 0: not known */
+  bool late;
+  uint8_t ages; /* of late acknowledgements: number of inputs; otherwise 0 */
 } tac_channel_data;
 
+#define TAC_NEVER 1000000
 #define TAC_NO_MARKS UINT32_MAX
-#define TAC_FORMAT 5U /* version of the generated data and of saved states */
+#define TAC_FORMAT 6U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -141,8 +147,9 @@ typedef struct {
   uint64_t heard;  /* of data: number of the last step with a packet or a mark, plus one; 0: none */
   uint64_t marked; /* newest step that the sender has finished, plus one; 0: none */
   uint32_t missing;
-  uint64_t told; /* step of the packet to acknowledge */
-  bool tells;
+  uint64_t told[TAC_WAITING]; /* steps of the packets to acknowledge, from the last place to the first */
+  uint8_t after[TAC_WAITING]; /* number of steps after which each was read */
+  uint8_t tells;              /* number of packets to acknowledge */
   uint32_t told_sequence; /* sequence number of the next acknowledgement */
   uint64_t first;         /* with a key: first step whose packets are valid */
   uint32_t proven;        /* epoch that the sender has proven */

@@ -18,7 +18,7 @@ static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigne
 }
 
 /* Deliver the packets of a node unless they are dropped, and set the used links in `sent`. False: a box is full. */
-static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, bool *sent) {
+static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, const uint16_t *late, bool *sent) {
   tac_datagram next;
   while ((next.size = tac_send(node, next.bytes)) > 0U) {
     unsigned kind = next.bytes[KIND_AT];
@@ -34,10 +34,26 @@ static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, bo
     if (exchange->waiting[to] == (size_t)TAC_BOX) {
       return false;
     }
+    next.due = node->tick + ((data && late != NULL) ? late[link] : 0U);
     exchange->boxes[to][exchange->waiting[to]] = next;
     exchange->waiting[to]++;
   }
   return true;
+}
+
+/* Give a node the datagrams that arrive in a step; the others stay. */
+static void receive_due(tac_exchange *exchange, size_t i, uint64_t tick) {
+  size_t kept = 0U;
+  for (size_t k = 0U; k < exchange->waiting[i]; k++) {
+    const tac_datagram *next = &exchange->boxes[i][k];
+    if (next->due > tick) {
+      exchange->boxes[i][kept] = *next;
+      kept++;
+    } else {
+      (void)tac_receive(exchange->nodes[i], next->bytes, next->size);
+    }
+  }
+  exchange->waiting[i] = kept;
 }
 
 /* Return whether a node has a key of any link. */
@@ -50,7 +66,7 @@ static bool has_key(const tac_node *node) {
 }
 
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
-                         const bool *lost, bool *sent) {
+                         const bool *lost, const uint16_t *late, bool *sent) {
   size_t measured = 0U;
   size_t i = 0U;
   for (size_t link = 0U; link < (size_t)TAC_LINKS; link++) {
@@ -62,15 +78,12 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
     if (has_key(node)) {
       break; /* nobody can read or change what one process keeps, and challenges would take further steps */
     }
-    for (size_t k = 0U; k < exchange->waiting[i]; k++) {
-      (void)tac_receive(node, exchange->boxes[i][k].bytes, exchange->boxes[i][k].size);
-    }
-    exchange->waiting[i] = 0U;
+    receive_due(exchange, i, tick);
     if (given > 0U && !tac_setpoint(node, &measurement[measured + node->data->measurement_count])) {
       break;
     }
     if (!tac_step(node, tick, &measurement[measured], (node->data->drawn_count > 0U) ? drawn : NULL) ||
-        !deliver(exchange, node, lost, sent)) {
+        !deliver(exchange, node, lost, late, sent)) {
       break;
     }
     measured += node->data->measurement_count;

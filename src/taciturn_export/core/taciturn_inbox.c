@@ -91,6 +91,9 @@ static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) 
     if (known->tick == packet->tick) {
       node->counters.superseded++;
       kept = is_newer(packet, known);
+    } else if (node->data->channels[i].late) {
+      node->counters.superseded++;
+      kept = packet->tick > known->tick;
     } else if (!node->begun) {
       kept = packet->tick > known->tick;
       miss(node, channel, kept ? known : packet);
@@ -139,6 +142,16 @@ static bool sort_by_number(tac_node *node, unsigned i, const tac_packet *packet,
   return true;
 }
 
+/* Return the step that hears a packet unless it is late. An acknowledgement on a late link states after how many steps
+ * its packet has arrived. */
+static uint64_t due_step(const tac_channel_data *data, const tac_packet *packet) {
+  uint64_t after = 0U;
+  if ((data->ages > 0U) && (packet->values[0] > (tac_real)0)) {
+    after = (packet->values[0] < (tac_real)TAC_NEVER) ? (uint64_t)packet->values[0] : (uint64_t)TAC_NEVER;
+  }
+  return packet->tick + after;
+}
+
 /* Store a new packet. */
 static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   bool mark = packet->kind == (uint8_t)TAC_MARK;
@@ -152,7 +165,8 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
     if (packet->tick < UINT64_MAX && packet->tick >= node->channels[i].marked) {
       node->channels[i].marked = packet->tick + 1U;
     }
-  } else if (is_late(node, packet->tick, lag)) {
+  } else if (is_late(node, due_step(&node->data->channels[i], packet), lag) &&
+             (!node->data->channels[i].late || (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT))) {
     miss(node, &node->channels[i], packet);
   } else {
     wait_for_tick(node, i, packet);
@@ -341,14 +355,94 @@ static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
   }
 }
 
+/* Read for each age whether the packet of this age arrived in a step. */
+static void collect_told(tac_node *node, unsigned i, uint64_t step) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  for (unsigned age = 0U; age < data->ages; age++) {
+    node->inputs[data->at + age] = (tac_real)TAC_NEVER;
+  }
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    tac_packet *known = &channel->waiting[place];
+    uint64_t due = due_step(data, known);
+    if (!channel->waits[place] || (due > step)) {
+      continue;
+    }
+    channel->waits[place] = false;
+    if ((due < step) || ((step - known->tick) >= data->ages)) {
+      miss(node, channel, known);
+    } else {
+      node->counters.used++;
+      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)0;
+    }
+  }
+}
+
+/* Acknowledge the packet of a step, which was read in another step; the oldest one is forgotten if there are many. */
+static void tell(tac_channel *channel, uint64_t sent, uint64_t step) {
+  unsigned place = channel->tells;
+  if (place == (unsigned)TAC_WAITING) {
+    place = 0U;
+    for (unsigned other = 1U; other < (unsigned)TAC_WAITING; other++) {
+      place = (channel->told[other] < channel->told[place]) ? other : place;
+    }
+  } else {
+    channel->tells++;
+  }
+  channel->told[place] = sent;
+  channel->after[place] = ((step - sent) < (uint64_t)UINT8_MAX) ? (uint8_t)(step - sent) : UINT8_MAX;
+}
+
+/* Read the newest packet that has arrived, unless a step has read a newer one, and acknowledge all newer ones. */
+static void collect_late(tac_node *node, unsigned i, uint64_t step) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  const tac_packet *packet = NULL;
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    const tac_packet *known = &channel->waiting[place];
+    if (!channel->waits[place] || (known->tick > step)) {
+      continue;
+    }
+    channel->waits[place] = false;
+    node->counters.superseded++;
+    if (known->tick < channel->newest) {
+      continue;
+    }
+    if (data->acknowledged) {
+      tell(channel, known->tick, step);
+      node->marks[data->link].sent = tac_count_ticks(node);
+    }
+    packet = ((packet == NULL) || (known->tick > packet->tick)) ? known : packet;
+  }
+  if (packet != NULL) {
+    node->counters.superseded--;
+    node->counters.used++;
+    channel->newest = packet->tick + 1U;
+  }
+  channel->missing = count_missing(&channel->window);
+  put_inputs(data, packet, node->inputs);
+}
+
+/* Read packets of several steps: set-points, and those of late links. */
+static void collect_several(tac_node *node, unsigned i, uint64_t tick) {
+  const tac_channel_data *data = &node->data->channels[i];
+  if (!data->late) {
+    collect_kept(node, i, tick);
+  } else if (data->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
+    collect_told(node, i, tick - data->lag);
+  } else {
+    collect_late(node, i, tick - data->lag);
+  }
+}
+
 void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
   uint32_t missing = count_missing(&channel->window);
   if (data->kind == (uint8_t)TAC_MEASUREMENT || data->kind == (uint8_t)TAC_SETPOINT ||
-      data->kind == (uint8_t)TAC_MANUAL) {
-    collect_kept(node, i, tick);
+      data->kind == (uint8_t)TAC_MANUAL || data->late) {
+    collect_several(node, i, tick);
     return;
   }
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
@@ -366,8 +460,8 @@ void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   if (packet != NULL) {
     node->counters.used++;
     if (data->acknowledged && data->kind == (uint8_t)TAC_DATA) {
-      channel->told = packet->tick;
-      channel->tells = true;
+      channel->tells = 0U;
+      tell(channel, packet->tick, packet->tick);
       node->marks[data->link].sent = tac_count_ticks(node);
     }
   } else if (channel->has_behind) {

@@ -35,15 +35,20 @@ static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, u
   return size;
 }
 
+void tac_tell(const tac_node *node, unsigned i, unsigned place, tac_packet *packet) {
+  packet->kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
+  packet->tick = node->channels[i].told[place];
+  packet->entries = node->data->channels[i].late ? 1U : 0U;
+  packet->values[0] = (tac_real)node->channels[i].after[place];
+}
+
 static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
   tac_channel *channel = &node->channels[i];
   tac_packet packet;
   (void)memset(&packet, 0, sizeof packet);
-  packet.kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
   packet.link = node->data->channels[i].link;
-  packet.entries = 0U;
-  packet.tick = channel->told;
-  channel->tells = false;
+  channel->tells--;
+  tac_tell(node, i, channel->tells, &packet);
   return hand_out(node, &packet, &channel->told_sequence, datagram);
 }
 
@@ -134,7 +139,7 @@ size_t tac_send(tac_node *node, uint8_t *datagram) {
     size = report(node, datagram);
   }
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
-    if (node->channels[i].tells) {
+    if (node->channels[i].tells > 0U) {
       size = acknowledge(node, i, datagram);
     }
   }

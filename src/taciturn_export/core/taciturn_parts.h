@@ -6,6 +6,7 @@
 
 #define tac_count_ticks TAC_SIZED(tac_count_ticks)
 #define tac_degrade TAC_SIZED(tac_degrade)
+#define tac_tell TAC_SIZED(tac_tell)
 #define tac_put TAC_SIZED(tac_put)
 #define tac_get TAC_SIZED(tac_get)
 #define tac_checksum TAC_SIZED(tac_checksum)
@@ -70,6 +71,9 @@ size_t tac_send_proof(tac_node *node, uint8_t *datagram);
 
 /* Return whether a node sends packets on a link: data along it, or (with `back`) acknowledgements against it. */
 bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
+
+/* Write the acknowledgement at a place of channel `i`: of which step, and after how many steps if the link is late. */
+void tac_tell(const tac_node *node, unsigned i, unsigned place, tac_packet *packet);
 
 /* Return the number of the channel on which a node is given set-points, or the number of channels if there is none. */
 unsigned tac_set_points(const tac_node_data *data);

@@ -141,28 +141,24 @@ static bool is_valid(const tac_node *node, uint64_t tick) {
 }
 
 /* Send the last acknowledgement or the last mark on a link again. */
-static size_t send_again(tac_node *node, uint8_t kind, uint8_t link, bool back, uint64_t tick, uint32_t following,
-                    uint8_t *datagram) {
-  tac_packet packet;
-  (void)memset(&packet, 0, sizeof packet);
-  packet.kind = kind;
-  packet.back = back;
-  packet.epoch = node->epoch;
-  packet.tick = tick;
-  if (following == 0U || !is_valid(node, tick)) {
+static size_t send_again(tac_node *node, uint8_t link, tac_packet *packet, uint32_t following, uint8_t *datagram) {
+  packet->epoch = node->epoch;
+  if (following == 0U || !is_valid(node, packet->tick)) {
     return 0U;
   }
-  packet.sequence = following - 1U;
-  return write_packet(node, &packet, link, datagram);
+  packet->sequence = following - 1U;
+  return write_packet(node, packet, link, datagram);
 }
 
 static size_t send_told_again(tac_node *node, uint8_t link, uint8_t *datagram) {
   size_t size = 0U;
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
     const tac_channel *channel = &node->channels[i];
-    if (node->data->channels[i].link == link && node->data->channels[i].acknowledged && !channel->tells) {
-      size = send_again(node, (uint8_t)TAC_ACKNOWLEDGEMENT, link, false, channel->told, channel->told_sequence,
-                        datagram);
+    if (node->data->channels[i].link == link && node->data->channels[i].acknowledged && (channel->tells == 0U)) {
+      tac_packet packet;
+      (void)memset(&packet, 0, sizeof packet);
+      tac_tell(node, i, 0U, &packet); /* sent last */
+      size = send_again(node, link, &packet, channel->told_sequence, datagram);
     }
   }
   return size;
@@ -182,10 +178,12 @@ static size_t send_data_again(tac_node *node, uint8_t link, uint8_t *datagram) {
 
 static size_t send_mark_again(tac_node *node, uint8_t link, uint8_t *datagram) {
   const tac_marks *marks = &node->marks[link];
-  bool back = !tac_talks(node->data, link, false);
-  return (marks->marked == 0U)
-             ? 0U
-             : send_again(node, (uint8_t)TAC_MARK, link, back, marks->marked - 1U, marks->sequence, datagram);
+  tac_packet packet;
+  (void)memset(&packet, 0, sizeof packet);
+  packet.kind = (uint8_t)TAC_MARK;
+  packet.back = !tac_talks(node->data, link, false);
+  packet.tick = marks->marked - 1U;
+  return (marks->marked == 0U) ? 0U : send_again(node, link, &packet, marks->sequence, datagram);
 }
 
 /* Write the next datagram of the proof on a link. */

@@ -41,6 +41,8 @@ static void add_packets(uint32_t *sum, const tac_node_data *data) {
     add(sum, channel->acknowledged ? 1U : 0U, 1U);
     add(sum, channel->at, 2U);
     add(sum, channel->interval, 4U);
+    add(sum, channel->late ? 1U : 0U, 1U);
+    add(sum, channel->ages, 1U);
   }
   for (unsigned i = 0U; i < data->send_count; i++) {
     add(sum, data->sends[i].link, 1U);
@@ -183,8 +185,11 @@ static void pass_channel(cursor *c, const tac_node *node, unsigned i) {
   pass_long(c, &channel->heard);
   pass_long(c, &channel->marked);
   pass_word(c, &channel->missing);
-  pass_long(c, &channel->told);
-  pass_truth(c, &channel->tells);
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    pass_long(c, &channel->told[place]);
+    channel->after[place] = (uint8_t)pass(c, channel->after[place], 1U, UINT8_MAX);
+  }
+  channel->tells = (uint8_t)pass(c, channel->tells, 1U, (uint64_t)TAC_WAITING);
   pass_word(c, &channel->told_sequence);
   pass_truth(c, &channel->has_proof);
   pass_word(c, &channel->proven);
