@@ -96,9 +96,9 @@ def cost_as_now(plant: Plant | ContinuousPlant, kept: AnyController, period: flo
     F, n = base.Phi + base.Gamma @ base.K, plant.states
     acts = base.K
     if plant.transport is not None:  # the inputs that act last in a step
-        found, first = registers_of(plant, problem.tick), registers_from(problem)
-        acts = found.Gu[-plant.inputs :] @ base.K
-        acts[:, first : first + len(found.S)] += found.Gz[-plant.inputs :]
+        held, first = registers_of(plant, problem.tick), registers_from(problem)
+        acts = held.Gu[-plant.inputs :] @ base.K
+        acts[:, first : first + len(held.S)] += held.Gz[-plant.inputs :]
     seen = np.pad(plant.C, ((0, 0), (0, len(F) - n))) + (0.0 if plant.D is None else plant.D @ acts)
     rows = {"output_variance": seen, "input_variance": base.K}
     found: dict[str, list[float]] = {}

@@ -572,9 +572,8 @@ class Network(Displayed):
         """Return a clause about a link with random delays, or whose sender learns of a loss only after the delay."""
         law = self.links[link]
         name = self.key(link, "delay" if law.buffer is None else "buffer")
-        if law.buffer is None and (law.delay is None or law.delay.constant is None):
-            return f"{name} is random"
-        return f"{name} is {(law.buffer or law.played().delay or law).text()}, and packets may be lost"
+        after = law.buffer or (None if law.delay is None else law.delay.constant)
+        return f"{name} is random" if after is None else f"{name} is {after.text()}, and packets may be lost"
 
     @property
     def late(self) -> tuple[str, ...]:
