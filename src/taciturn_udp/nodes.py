@@ -508,7 +508,7 @@ def played_after(node: Node, tick: float | None) -> float:
     """Return the seconds after the earliest arrival of a packet at which a node uses it.
 
     The phase of a node is that of the packets with the least delay, so a packet is used the buffer less this delay
-    after the phase. Of several links, the latest packet counts, as a step has one packet of each.
+    after the phase. If there are several links, the latest packet counts, as a step has one packet of each.
     """
     waits, period = list[float](), node.policy.tick
     for link in node.program.hears:

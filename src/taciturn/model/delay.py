@@ -99,7 +99,7 @@ class DelayLaw(Displayed):
         return Wait(0, found) if self.in_seconds else Wait(int(found))
 
     def lost_in(self, state: int) -> bool:
-        """Return whether the law itself loses packets in a state of the link."""
+        """Return whether the law itself drops packets in a state of the link."""
         return sum(self.odds[state]) < 1.0 - SUMS
 
     @property
@@ -119,7 +119,7 @@ class DelayLaw(Displayed):
     def losses(self, buffer: Wait, loss: float, burst: LossLaw | None) -> float | LossLaw:
         """Return the losses of a link whose receiver plays packets out after ``buffer``, with its own losses.
 
-        Of a trace, packets that are lost or late form a Gilbert–Elliott chain with the share of the trace, and the
+        Packets of a trace that are lost or late form a Gilbert–Elliott chain with the share of the trace, and the
         probability of the trace that one follows another.
         """
         late = self.later_than(buffer)
