@@ -312,6 +312,14 @@ def node(
             "--questions", help="Only if the sensor is a camera: request pictures instead of sending measurements."
         ),
     ] = False,
+    play_out: Annotated[
+        bool,
+        typer.Option(
+            "--play-out",
+            help="With --real-time: use each packet the buffer of its link after it was sent, as a real plant "
+            "requires. A simulated plant shows the delay itself.",
+        ),
+    ] = False,
     eye: Annotated[
         Path | None,
         typer.Option(
@@ -385,7 +393,7 @@ def node(
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
             heartbeat=heartbeat or max(1, (limit or 1) // BEATS),
-            keep=None if state is None else FileStorage(state), told=told, say=say,
+            keep=None if state is None else FileStorage(state), told=told, say=say, play_out=play_out,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:

@@ -62,6 +62,8 @@ class NodeServer:
         say: function called once with a message if packets of another policy or key are rejected.
         clock: function that returns the time in seconds, from any origin.
         draw: function that returns the random number of a challenge; default: one of the operating system.
+        play_out: whether the nodes use each packet the buffer of its link after it was sent, in real time, as real
+            plants require; a simulated plant shows the delay itself.
 
     Raises:
         ProblemError: a peer, a plant or a key is missing, a peer or a plant is not needed, or the saved state is not
@@ -84,6 +86,7 @@ class NodeServer:
         say: Say | None = None,
         clock: Callable[[], float] = time.monotonic,
         draw: Callable[[], int] | None = None,
+        play_out: bool = False,
     ) -> None:
         """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
@@ -101,7 +104,8 @@ class NodeServer:
             peers[self._plant] = plant
         self._tick, self._wait = tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
-        self.phase = Phase(tick or 1.0)
+        self._played = played_after(first, tick) if play_out else None
+        self.phase = Phase(tick or 1.0, self._played or 0.0)
         links = [*first.program.sends, *first.inbox.links, *([] if self._plant is None else [self._plant])]
         if tick is not None:
             IN_REAL_TIME.check(first.network)
@@ -390,6 +394,9 @@ class NodeServer:
             return first
         if not self.phase.known or self._unsure:
             return first
+        if self._played is not None:
+            tick = self._coming(node.tick, max(0, self.phase.now(now - self._played)))
+            return tick if now >= self._deadline(tick) else None
         prompt = [link for link, lag in node.listens.items() if lag == 0]
 
         def settled(tick: int) -> bool:
@@ -408,7 +415,9 @@ class NodeServer:
         return not 0 <= self._seen[node.loop] >= tick - BLIND
 
     def _deadline(self, tick: int) -> float:
-        """Return the time until which a step waits for its measurement or its packets."""
+        """Return the time until which a step waits for its measurement or its packets, or at which it plays them."""
+        if self._played is not None:
+            return self.phase.begins(tick) + self._played
         wait = min(self._wait, LATE) if self.nodes[0].measures else self._wait
         return self.phase.begins(tick) + wait * self.phase.tick
 
@@ -474,7 +483,7 @@ class NodeServer:
             idle = min(idle, self._expires)
         if self._tick is None or not self.phase.known or self._unsure:
             return idle
-        present = self.phase.now(self._clock())
+        present = max(0, self.phase.now(self._clock() - (self._played or 0.0)))
         due = [(node, self._coming(node.tick, present)) for node in self.nodes]
         due = [(node, tick) for node, tick in due if not (node.measures and self._is_blind(node, tick))]
         return min([idle, *(self._deadline(tick) for _, tick in due)])
@@ -505,3 +514,25 @@ class NodeServer:
             ) from None
         if self._tick is None:
             self._outbox.repeat(0, self._began)  # the process may have ended after saving and before sending
+
+
+def played_after(node: Node, tick: float | None) -> float:
+    """Return the seconds after the earliest arrival of a packet at which a node uses it.
+
+    The phase of a node is that of the packets with the least delay, so a packet is used the buffer less this delay
+    after the phase. If there are several links, the latest packet counts, as a step has one packet of each.
+    """
+    waits, period = list[float](), node.policy.tick
+    for link in node.program.hears:
+        law = node.network.links[link]
+        if law.buffer is not None:
+            least = 0.0 if law.delay is None else law.delay.wait(0).periods(period)
+            waits.append(law.buffer.periods(period) - least)
+    if tick is None or node.measures or not waits:
+        how = "runs in virtual time, in which the plant shows delays" if tick is None else "has no link with a buffer"
+        how = "begins a step with its own sample" if tick is not None and node.measures else how
+        raise ProblemError(
+            f"the {node.role} is to play packets out, but it {how}; expected real time, and a node without a sensor on "
+            "whose link packets have a buffer"
+        )
+    return max(waits) * tick

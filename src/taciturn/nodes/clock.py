@@ -21,9 +21,9 @@ class Phase:
     # the earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive
     # packets agree. Until then, a packet of a step that cannot have begun is ignored.
 
-    def __init__(self, tick: float) -> None:
-        """Start without packets."""
-        self.tick, self.zero = tick, float("nan")
+    def __init__(self, tick: float, spread: float = 0.0) -> None:
+        """Start without packets. Random delays may make a packet late by ``spread`` seconds."""
+        self.tick, self.zero, self._spread = tick, float("nan"), spread
         self._last, self._jump, self._agreed = 0, float("nan"), 0
         self._behind, self._least = 0, float("inf")  # consecutive late packets, and their smallest offset
         self.jumps = 0
@@ -67,7 +67,7 @@ class Phase:
 
     def _follow(self, off: float) -> None:
         """Move the estimate if the last packets were all late, so that it was too early for each of them."""
-        if off <= LATE * self.tick:
+        if off <= LATE * self.tick + self._spread:
             self._behind, self._least = 0, float("inf")
             return
         self._behind, self._least = self._behind + 1, min(self._least, off)

@@ -382,7 +382,7 @@ class Inbox:
 
 
 def due_step(packet: Packet, stream: Stream) -> int:
-    """Return the step in which a packet is heard: its own, or on a link with random delays that of its arrival."""
+    """Return the step that reads a packet: its own, or on a link with random delays that of its arrival."""
     return packet.tick + packet.late // stream.pieces if stream.pieces else packet.tick
 
 

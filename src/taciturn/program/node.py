@@ -8,9 +8,9 @@ of a decision in the first part is a state that the second part reads.
 Nodes can be separated if each packet holds what its Send found: no signal of the packet changes before it is read, all
 steps read a packet before it is sent or all after it, and no two places wait for each other within a step.
 
-A link may delay packets at random (``late``). Then a packet is heard in the step in which it arrives, and the inputs
-are the newest packet for each piece of that step. The sender is told by acknowledgements, for the packet of each age,
-in which piece of the step it arrived (``Arrived``). An actuator has an input of the plant for each piece.
+A link may delay packets at random (``late``). Then the step in which a packet arrives reads it, and the inputs
+are the newest packet for each piece of that step. Acknowledgements give the sender, for the packet of each age, the
+piece of the step in which it arrived (``Arrived``). An actuator has an input of the plant for each piece.
 
 ``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
 
@@ -85,7 +85,7 @@ class NodeProgram:
 
     @property
     def ages(self) -> Mapping[str, int]:
-        """For each link whose sender is told when packets arrive, the number of ages of these packets."""
+        """Number of ages of packets whose times of arrival the sender knows, by link."""
         found: dict[str, int] = {}
         for name in (name for part in self.parts for name in part.inputs if isinstance(name, Arrived)):
             found[name.link] = max(found.get(name.link, 0), name.age + 1)
