@@ -78,7 +78,8 @@ def late_excess(
     refused = {
         "the cost has a horizon or a discount; expected an average cost": cost.mission,
         "plant.D is given; expected outputs without a direct feedthrough": plant.D is not None,
-        "another link has a constant delay; expected no other delay": _others(plant) is not None,
+        "another link has a constant delay; expected no other delay": plant.transport is not None
+        and plant.transport.certain is not None,
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(
@@ -128,11 +129,6 @@ def late_excess(
     return replace(made, notes=(*made.notes, *loop.notes))
 
 
-def _others(plant: Plant | ContinuousPlant) -> Transport | None:
-    """Return the constant delays of a plant, without the mean of random ones."""
-    return None if plant.transport is None else plant.transport.certain
-
-
 def _delays(law: DelayLaw, network: Network) -> Delays:
     """Return the law of the delays of packets, and of their losses, by the state of the link."""
     if law.sequence:
@@ -153,10 +149,10 @@ def _gain(
     step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
     if given is not None:
         given = number("design_delay", given, 0.0, LONGEST * step, closed=True)
-    periods = law.mean if given is None else given / step
-    periods = float(np.clip(periods, law.waits[0], law.waits[-1])) if given is None else periods
-    whole = float(np.round(periods)) if isinstance(plant, Plant) else periods
-    wait = Wait(int(whole)) if isinstance(plant, Plant) else Wait(0, whole * step)
+        periods = given / step
+    else:  # the mean of the odds may round to beyond the delays
+        periods = float(np.clip(law.mean, law.waits[0], law.waits[-1]))
+    wait = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
     late = with_transport(plant, Transport.of([wait] * plant.inputs, [Wait()] * len(plant.C)))
     L, n, m = discretise(late, cost, period).regulator().L, plant.states, plant.inputs
     K = np.zeros((m, n + m * (depth + 1)))
@@ -247,9 +243,8 @@ class _Watched(Displayed):
 def _watched_flight(found: LateValue, signals: tuple[str, ...], count: int) -> _Watched:
     """Return the steps of a link with one state: a flag for each age says whether the packet is in flight."""
     (Psi, psi), depth = found.silent, found.chain.delays.depth
-    costs = {
-        mode.ages: Form(signals, Psi[i], float(psi[i])) for i, mode in enumerate(found.chain.modes)
-    }  # a set of ages is not a mode if packets of these ages never arrive together
+    # a set of ages is not a mode if packets of these ages are never in flight together
+    costs = {mode.ages: Form(signals, Psi[i], float(psi[i])) for i, mode in enumerate(found.chain.modes)}
     flags, before = {age: f"flight {age}" for age in range(1, depth + 1)}, list[Step]()
     for age, flag in flags.items():
         none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1

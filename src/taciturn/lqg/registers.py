@@ -3,7 +3,7 @@
 An input that acts d + r periods after it was commanded, with a whole number d and 0 ≤ r < 1, acts from kh + rh on until
 the next one does. Within a period, the input before it acts first,
 
-    u_{k−d−1} in [0, r),   u_{k−d} in [r, 1)   (in periods),
+    u_{k−d−1} in [0, r),   u_{k−d} in [r, 1)   (in periods).
 
 The parts r of all inputs cut a period into pieces, for which ``sample`` integrates plant and cost exactly, as a problem
 whose inputs are those of each piece, a = (a_0, a_1, …). Chains of registers hold the commands, z₁⁺ = u, z₂⁺ = z₁, …, so
@@ -12,8 +12,11 @@ a = G_z z + G_u u, and the problem in (x, z) and u has
     x⁺ = A x + B (G_z z + G_u u) + w,   stage [x; G_z z + G_u u]' M [x; G_z z + G_u u],
 
 in general with a cross term between z and u. If packets arrive at random times, another input u_i may act in each piece
-(``Pieces``). A sensor takes its sample before the input changes, so y_k = C x_k +
-D û_{k−1} + v_k shows the input that acts just then, which is in a register as well (with r = 0: z_{d+1}).
+(``Pieces``). A sensor takes its sample before the input changes, so
+
+    y_k = C x_k + D û_{k−1} + v_k
+
+shows the input that acts just then, which is in a register as well (with r = 0: z_{d+1}).
 
 An output that is o steps older than others has registers of its own, of the measurement and not of Cx: the noise v is
 in them, so ζ₁⁺ = C x + v, ζ₂⁺ = ζ₁, …, and y = ζ_o is read exactly. If V correlates outputs of different age, their
