@@ -123,6 +123,8 @@ class Kind(Displayed):
         several_nodes: whether the design takes networks of several sensors or actuators.
         joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
             one actuator, and ``taciturn.design.several_nodes`` derives the decision on sets.
+        informed_links: whether the design of a kind with ``joint_links`` has a theory of packets that are late or lost
+            on several links, if their fates are acknowledged. It then gets all nodes of the network.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
         runs_with_losses: whether a problem may state losses that the design does not know; the loop is then simulated.
         delay: the largest delay of computations, in steps, that a design with a network supports.
@@ -158,6 +160,7 @@ class Kind(Displayed):
     for_dropouts: bool = False
     several_nodes: bool = False
     joint_links: bool = False
+    informed_links: bool = False
     ideal_links: bool = False
     runs_with_losses: bool = False
     delay: int = 0
@@ -247,6 +250,9 @@ class Kind(Displayed):
             raise ProblemError(
                 f"network.delay is {network.delay}; expected a delay of {few} steps with the policy kind {self.name}"
             )
+        linked = [node for node in network.actuators if node in network.links]
+        if self.informed_links and decides_on_sets(network) and any(map(network.acknowledges, linked)):
+            return network.unlimited
         return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
 
     def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:

@@ -11,6 +11,11 @@ inputs that acted in each piece of the period, and which packets are still in fl
 If delays and losses come in bursts, nobody knows the state of the link. The controller keeps the probabilities of all
 modes by the arrivals (``LateBelief``), and silence costs the mean over them.
 
+With several actuators, the fate of a packet is a vector with a delay for each receiver, and the controller chooses the
+set of links that send: that with the least sum of the cost of silence on the others, E[z'Ψ_I^a z], and δ times the
+share of its packets in the price of packets on all links. Sending on all links costs δ, so the bound holds with the
+mean of the rates, weighted by the prices.
+
 The command is that of a given controller, or LQG with the gains for a constant delay, by default the mean delay of the
 packets that arrive. With d whole periods and a part of one, these gains are those of the plant with registers for the
 last commands (``lqg/registers``). A command that is still to act is in a packet that may be in flight or lost, so the
@@ -21,8 +26,9 @@ Source: nilsson1998, antunes2014rollout
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,6 +43,17 @@ from taciturn.base.nominal import Nominal
 from taciturn.base.periods import periods_of, with_controller, with_filter
 from taciturn.base.route import MEASURED, NEXT, REGISTER, nonempty
 from taciturn.design.bounds import bound_by_attempts
+from taciturn.design.kind import check_place
+from taciturn.design.several_nodes import (
+    COMMAND,
+    WEIGHTED_RATE,
+    actuators_of,
+    decides_on_sets,
+    expect_few_links,
+    label,
+    sets_of,
+    shares_of_prices,
+)
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.registers import Pieces, registers_of
@@ -45,23 +62,38 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, LATE
 from taciturn.model.delay import LONGEST, DelayLaw, Transport, Wait
 from taciturn.model.losses import stationary
-from taciturn.model.network import Network
+from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.steps import ONE, Acted, Apply, Assign, Decide, Evaluate, Received, Send, Step
+from taciturn.model.steps import (
+    ONE,
+    Acknowledged,
+    Acted,
+    Apply,
+    Assign,
+    Condition,
+    Decide,
+    Evaluate,
+    Received,
+    Send,
+    Step,
+    Terms,
+)
 from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.transport import with_transport
 from taciturn.model.trigger import Form, Trigger
 
 COST, TRIED, BELIEF = "cost of silence", "tried", "belief"
 MOST_BELIEVED = 64  # modes of which a controller has probabilities
-LINK, AT = "actuator", "controller"
+MOST_FORMS = 1024  # of the cost of silence, one for each set of links and each mode
 OTHER_GAINS = "gains for another delay (design_delay)"
 
 
-def acknowledges_late(network: Network) -> bool:
-    """Return whether packets to the actuator have random delays, and acknowledgements state their time of arrival."""
-    return LINK in network.late and network.acknowledges(LINK)
+def informed(network: Network) -> bool:
+    """Return whether acknowledgements tell when packets arrived that are late or, on several links, may be lost."""
+    links = [node for node in network.actuators if node in network.links]
+    some = network.late if not decides_on_sets(network) else links
+    return any(link in some and network.acknowledges(link) for link in links)
 
 
 def late_excess(
@@ -74,7 +106,9 @@ def late_excess(
     network: Network,
     design_delay: float | None,
 ) -> Policy:
-    """Return the policy that sends iff silence costs more than the price, over a link with random delays."""
+    """Return the policy that sends iff silence costs more than the price, over links with random delays and losses."""
+    informs = next(link for link in network.actuators if link in network.links and network.acknowledges(link))
+    told = network.lateness(informs)
     refused = {
         "the cost has a horizon or a discount; expected an average cost": cost.mission,
         "plant.D is given; expected outputs without a direct feedthrough": plant.D is not None,
@@ -82,8 +116,11 @@ def late_excess(
         and plant.transport.certain is not None,
     }
     for got in (got for got, holds in refused.items() if holds):
+        raise ProblemError(f"{told}, with acknowledgements, and {got}, or a link without acknowledgements")
+    if kept is not None and design_delay is not None:
         raise ProblemError(
-            f"{network.lateness(LINK)}, with acknowledgements, and {got}, or a link without acknowledgements"
+            f"design_delay is {design_delay:g}, and a controller is given; expected no design_delay: the controller "
+            "states its own gains"
         )
     plant = with_transport(plant, None)
     if kept is None:
@@ -92,69 +129,159 @@ def late_excess(
     else:
         loop = GivenLoop.of(plant, cost, period, kept)
     problem, tick = loop.problem, loop.problem.tick
-    law = network.random_delay(LINK, tick)
-    assert law is not None, "the link delays packets at random"
+    nodes = Receivers.of(kind, network, problem.plant, tick)
     cuts = network.cuts(tick)
     source = problem.source
     assert source is not None, "a sampled problem knows its plant"
     pieces = discretise(source, problem.cost, tick if problem.sampled else None, None, cuts).pieces if cuts else None
-    steady, delays = problem.filter(), _delays(law, network)
+    steady, delays = problem.filter(), Delays.together([one.delays for one in nodes.all])
     whole = periods_of(problem, pieces)
-    if kept is not None and design_delay is not None:
-        raise ProblemError(
-            f"design_delay is {design_delay:g}, and a controller is given; expected no design_delay: the controller "
-            "states its own gains"
-        )
     if kept is None:
-        K = _gain(plant, cost, period, law, delays.depth, design_delay)
+        K = _gain(plant, cost, period, nodes, delays.depth, design_delay)
         base, state = with_filter(whole, steady), (ESTIMATE,)
     else:
         base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
         state = (ESTIMATE, MEASURED, *((REGISTER,) if len(loop.controller.A) else ()))
-    found = late_value(chain_of(base, K, delays), loop.remedy if kept is not None else OTHER_GAINS)
+    rows = [tuple(one.rows) for one in nodes.all]
+    found = late_value(chain_of(base, K, delays, rows), loop.remedy if kept is not None else OTHER_GAINS)
     J = found.cost - problem.noise_cost
     price, fourth = price_at(J), fourth_growth(found)
-    steps, initial = _steps(problem, loop if kept is not None else None, found, pieces, state, K, price)
+    made = _LateSteps(problem, loop if kept is not None else None, found, pieces, state, K, price, nodes)
+    steps, initial = made.steps()
+    bound = bound_by_attempts(problem, J, price, 1, True, kept is None) if fourth < 1 else None
+    if bound is not None and len(nodes.links) > 1:
+        bound = replace(bound, statement=f"{bound.statement}; {WEIGHTED_RATE}", weights=nodes.weights)
+    added = [Form(plus={made.cost(sent): 1.0 / problem.unit}) for sent in nodes.sets[:-1]]
     claims = Theory(
         cost_lqg=loop.cost_lqg,
-        guarantee=bound_by_attempts(problem, J, price, 1, True, kept is None) if fourth < 1 else None,
-        identity=Identity(problem.per_unit(J), (Form(plus={COST: 1.0 / problem.unit}), Form()), SEND),
+        guarantee=bound,
+        identity=Identity(problem.per_unit(J), (*added, Form()), SEND),
         covers=GAUSSIAN_THEORY | LATE | BURSTS,
         functions=frozenset({BELIEF}),
         fourth=fourth,
     )
     settling = max(1 / (1 - found.growth), 1 / (1 - steady.slowest))
     nominal = Nominal(problem, J, settling, disturbance=loop.disturbance)
-    made = nominal.policy(kind, steps, loop.point.begun(steps, initial), claims, sites=COLLOCATED, network=network)
-    return replace(made, notes=(*made.notes, *loop.notes))
+    begun = loop.point.begun(steps, initial, {one.node: one.rows for one in nodes.all})
+    sites = network.sites if network.own_nodes else COLLOCATED
+    policy = nominal.policy(kind, steps, begun, claims, sites=sites, network=network)
+    return replace(policy, notes=(*policy.notes, *loop.notes))
 
 
-def _delays(law: DelayLaw, network: Network) -> Delays:
+@dataclass(frozen=True, eq=False, repr=False)
+class Receiver(Displayed):
+    """An actuator that receives its inputs over a link, or that is at the controller's site."""
+
+    node: str
+    signal: str  # the inputs that it applies
+    rows: list[int]  # their indices among the inputs of the plant
+    linked: bool
+    law: DelayLaw | None  # of its link, in periods; None: a packet that arrives does so at once
+    delays: Delays  # the same with the losses of the link
+
+    @property
+    def sure(self) -> bool:
+        """Whether every packet arrives at once."""
+        return self.delays.fates == (((0, 0.0),),)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Receivers(Displayed):
+    """The actuators of a loop, and the sets of links on which the controller may send."""
+
+    network: Network
+    all: tuple[Receiver, ...]
+
+    @staticmethod
+    def of(kind: str, network: Network, plant: Plant, period: float) -> Receivers:
+        """Return the actuators of a network, and check that the controller is informed of the fate of all packets."""
+        found = list[Receiver]()
+        for node, (signal, rows) in actuators_of(network, plant).items():
+            linked = node in network.links
+            if linked and not network.links[node].ideal and not network.acknowledges(node):
+                raise ProblemError(
+                    f"{network.key(node, 'acknowledged')} is false, and packets to other actuators are acknowledged; "
+                    "expected acknowledgements on all links to actuators, or ideal links"
+                )
+            law = network.random_delay(node, period) if linked else None
+            law_and_losses = _delays(law, network, node) if linked else Delays.of([0.0], [1.0])
+            found.append(Receiver(node, signal, rows, linked, law, law_and_losses))
+        nodes = Receivers(network, tuple(found))
+        expect_few_links(kind, nodes.links)
+        for node in network.sensors if network.own_nodes else ():
+            check_place(kind, network, "sensor", node, True)
+        return nodes
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links, which are those of the actuators that have one."""
+        return tuple(one.node for one in self.all if one.linked)
+
+    @cached_property
+    def weights(self) -> Mapping[str, float]:
+        """Price of a packet on each link, divided by the sum of these prices over all links."""
+        return shares_of_prices(self.network, self.links)
+
+    @cached_property
+    def sets(self) -> tuple[tuple[str, ...], ...]:
+        """All sets of links that may send, the cheapest first; the last one contains all."""
+        return sets_of(self.links, self.weights)
+
+    def label(self, sent: Sequence[str]) -> str:
+        """Return the label of the decision to send on a set of links."""
+        return SEND if len(self.all) == 1 and sent else label(sent)
+
+    def sent(self, links: Sequence[str]) -> tuple[bool, ...]:
+        """Return for each actuator whether it gets a new input if a set of links sends."""
+        return tuple(not one.linked or one.node in links for one in self.all)
+
+    def chosen(self, sent: Sequence[bool]) -> Array:
+        """Return the diagonal matrix, (m, m), that selects the inputs of some actuators."""
+        rows = [row for one, goes in zip(self.all, sent, strict=True) for row in one.rows if goes]
+        return np.diag(np.isin(np.arange(sum(len(one.rows) for one in self.all)), rows).astype(np.float64))
+
+    def named(self, name: str, node: str) -> str:
+        """Return the name of a signal that belongs to an actuator; with a single one it needs no further name."""
+        return name if len(self.all) == 1 else f"{name} to {node}"
+
+
+def _delays(law: DelayLaw | None, network: Network, link: str) -> Delays:
     """Return the law of the delays of packets, and of their losses, by the state of the link."""
-    if law.sequence:
+    if law is not None and law.sequence:
         raise ProblemError(
-            f"{network.key(LINK, 'delay')} is a trace, whose delays follow each other in an order that no theory here "
+            f"{network.key(link, 'delay')} is a trace, whose delays follow each other in an order that no theory here "
             "covers; expected a histogram, a list of delays, a buffer, or acknowledged = false (then the loop is "
             "simulated without a claim)"
         )
-    turns, losses = network.chain(LINK)
-    odds = np.array(law.of_states(len(losses)).odds) * (1.0 - losses[:, None])
-    return Delays.of(law.waits, odds if len(losses) > 1 else odds[0], 1.0, turns if len(losses) > 1 else None)
+    turns, losses = network.chain(link)
+    waits, rows = ((0.0,), ((1.0,),) * len(losses)) if law is None else (law.waits, law.of_states(len(losses)).odds)
+    odds = np.array(rows) * (1.0 - losses[:, None])
+    return Delays.of(waits, odds if len(losses) > 1 else odds[0], 1.0, turns if len(losses) > 1 else None)
 
 
 def _gain(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, law: DelayLaw, depth: int, given: float | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    nodes: Receivers,
+    depth: int,
+    given: float | None,
 ) -> Array:
-    """Return the gain on z of LQG for a constant delay: that which is given, or the mean of those that arrive."""
+    """Return the gain on z of LQG for constant delays: that which is given, or for each link the mean of its own."""
     step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
+    n, m, waits = plant.states, plant.inputs, [Wait()] * plant.inputs
     if given is not None:
         given = number("design_delay", given, 0.0, LONGEST * step, closed=True)
-        periods = given / step
-    else:  # the mean of the odds may round to beyond the delays
-        periods = float(np.clip(law.mean, law.waits[0], law.waits[-1]))
-    wait = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
-    late = with_transport(plant, Transport.of([wait] * plant.inputs, [Wait()] * len(plant.C)))
-    L, n, m = discretise(late, cost, period).regulator().L, plant.states, plant.inputs
+    for one in (one for one in nodes.all if one.law is not None):
+        assert one.law is not None
+        if given is not None:
+            periods = given / step
+        else:  # the mean of the odds may round to beyond the delays
+            periods = float(np.clip(one.law.mean, one.law.waits[0], one.law.waits[-1]))
+        for row in one.rows:
+            waits[row] = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
+    late = with_transport(plant, Transport.of(waits, [Wait()] * len(plant.C)))
+    L = discretise(late, cost, period).regulator().L
     K = np.zeros((m, n + m * (depth + 1)))
     K[:, :n] = L[:, :n]
     if late.transport is None:
@@ -167,68 +294,280 @@ def _gain(
     return K
 
 
-def _steps(
-    problem: Discrete,
-    loop: GivenLoop | None,
-    found: LateValue,
-    pieces: Pieces | None,
-    state: tuple[str, ...],
-    K: Array,
-    price: float,
-) -> tuple[tuple[Step, ...], dict[str, Array]]:
-    """Return the policy steps of all nodes, and the initial values of their memories."""
-    plant, depth = problem.plant, found.chain.delays.depth
-    m, unit, one, none = plant.inputs, np.eye(plant.inputs), np.ones((1, 1)), np.zeros((1, 1))
-    estimation = estimate_state(plant, problem.filter())
-    initial = dict(estimation.initial)
-    before: list[Step] = [*estimation.correct]
-    sent = [f"sent {age}" for age in range(1, depth + 1)]
-    n = plant.states
-    if loop is None:
-        gains = np.split(K, [n, *(n + m * age for age in range(1, depth + 1))], axis=1)
-        command = dict(zip((ESTIMATE, *sent, HELD), gains, strict=True))
-    else:
-        c = loop.controller
-        measured = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
-        before.append(Assign(AT, MEASURED, measured))
-        if len(c.A):
-            before.append(Assign(AT, REGISTER, {NEXT: np.eye(len(c.A))}))
-            initial[NEXT] = loop.point.start
-        command = {REGISTER: c.C, MEASURED: c.D}
-    before.append(Assign(AT, "command", nonempty(command)))
-    signals = (*state, *sent, HELD)
-    count = 1 if pieces is None else len(pieces.cuts)
-    watched = _watched_flight(found, signals, count) if len(found.chain.delays.turns) == 1 else _believed(
-        found, signals, (0.0,) if pieces is None else pieces.cuts
-    )  # fmt: skip
-    before += watched.before
-    initial |= watched.initial
-    rule = Trigger({"silent": Form(plus={COST: 1.0}), SEND: Form(constant=price)})
-    after: list[Step] = [
-        Decide(AT, SEND, rule),
-        Send(AT, LINK, ("command",), SEND),
-        Assign(LINK, "input", ({"input": unit}, {"command": unit}), Received(LINK)),
-    ]
-    acting = [f"acting {piece}" for piece in range(count)]
-    for piece, name in enumerate(acting):
-        after.append(Assign(AT, name, {HELD: unit}))
-        for age in range(depth, -1, -1):  # the newest packet last
-            value = {sent[age - 1]: unit} if age else {"command": unit}
-            after.append(Assign(AT, name, ({name: unit}, value), Acted(LINK, age, piece)))
-    after.append(Assign(AT, TRIED, ({ONE: none}, {ONE: one}), SEND))
-    after += watched.after
-    for age in range(depth, 1, -1):
-        after.append(Assign(AT, sent[age - 1], {sent[age - 2]: unit}))
-    if depth:
-        after.append(Assign(AT, sent[0], ({sent[0]: unit}, {"command": unit}), SEND))
-    if not plant.full_state:
-        effects = [plant.B] if pieces is None else np.split(pieces.B, count, axis=1)
-        after.append(Assign(AT, "prior", {ESTIMATE: plant.A, **dict(zip(acting, effects, strict=True))}))
-    after.append(Assign(AT, HELD, {acting[-1]: unit}))
-    if loop is not None and len(loop.controller.A):
-        c = loop.controller
-        after.append(Assign(AT, NEXT, nonempty({REGISTER: c.A, MEASURED: c.B, HELD: c.E})))
-    return (*before, *after), initial
+@dataclass(frozen=True, eq=False, repr=False)
+class _LateSteps(Displayed):
+    """The policy steps of all nodes. In the names of signals, ``sent j`` is the command of j steps ago."""
+
+    problem: Discrete
+    given: GivenLoop | None  # the loop of a given controller; None: LQG
+    found: LateValue
+    pieces: Pieces | None  # of a period, if inputs change within it
+    state: tuple[str, ...]  # the signals of s
+    K: Array  # gain of the command on z
+    price: float
+    nodes: Receivers
+
+    def steps(self) -> tuple[tuple[Step, ...], dict[str, Array]]:
+        """Return the policy steps, and the initial values of their memories."""
+        plant, at, depth, given = self.problem.plant, self.at, self.depth, self.given
+        unit = np.eye(plant.inputs)
+        measured = self.nodes.network.measurements(plant.sensed, plant.set_points)
+        before = list[Step]()
+        if "y" not in measured:
+            parts = {
+                name: np.eye(plant.sensed)[:, [*rows]] for name, (_, rows) in measured.items() if name != REFERENCE
+            }
+            before.append(Assign(at, "y", parts))
+        estimation = estimate_state(plant, self.problem.filter(), at)
+        initial = dict(estimation.initial)
+        before += estimation.correct
+        if given is None:
+            n, m = plant.states, plant.inputs
+            gains = np.split(self.K, [n, *(n + m * age for age in range(1, depth + 1))], axis=1)
+            command = dict(zip((ESTIMATE, *self.sent, HELD), gains, strict=True))
+        else:
+            c = given.controller
+            shown = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
+            before.append(Assign(at, MEASURED, shown))
+            if len(c.A):
+                before.append(Assign(at, REGISTER, {NEXT: np.eye(len(c.A))}))
+                initial[NEXT] = given.point.start
+            command = {REGISTER: c.C, MEASURED: c.D}
+        before.append(Assign(at, COMMAND, nonempty(command)))
+        watched = self._watched_flight() if len(self.found.chain.delays.turns) == 1 else self._believed()
+        rest = [*self._acting(), *self._tried(), *watched.after]
+        for age in range(depth, 1, -1):
+            rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2]: unit}))
+        if depth:
+            rest.append(self._by_set(self.sent[0], unit, COMMAND))
+        if not plant.full_state:
+            effects = [plant.B] if self.pieces is None else np.split(self.pieces.B, self.count, axis=1)
+            rest.append(Assign(at, "prior", {ESTIMATE: plant.A, **dict(zip(self.pieced, effects, strict=True))}))
+        rest.append(Assign(at, HELD, {self.pieced[-1]: unit}))
+        if given is not None and len(given.controller.A):
+            c = given.controller
+            rest.append(Assign(at, NEXT, nonempty({REGISTER: c.A, MEASURED: c.B, HELD: c.E})))
+        return (*before, *watched.before, *self._decide(), *rest), {**initial, **watched.initial}
+
+    @property
+    def at(self) -> str:
+        """The node that controls."""
+        return self.nodes.network.controller
+
+    @property
+    def depth(self) -> int:
+        """Largest number of whole periods after which a packet may arrive."""
+        return self.found.chain.delays.depth
+
+    @property
+    def cuts(self) -> tuple[float, ...]:
+        """The parts of a period at which its pieces begin."""
+        return (0.0,) if self.pieces is None else self.pieces.cuts
+
+    @property
+    def count(self) -> int:
+        """Number of the pieces of a period."""
+        return len(self.cuts)
+
+    @property
+    def sent(self) -> list[str]:
+        """Names of the last commands, the newest first."""
+        return [f"sent {age}" for age in range(1, self.depth + 1)]
+
+    @property
+    def pieced(self) -> list[str]:
+        """Names of the inputs that act in each piece of the period."""
+        return [f"acting {piece}" for piece in range(self.count)]
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals of z."""
+        return (*self.state, *self.sent, HELD)
+
+    def cost(self, sent: Sequence[str]) -> str:
+        """Return the name of what it costs that only a set of links sends."""
+        return f"{COST} if {label(sent)}" if sent else COST
+
+    def _acting(self) -> list[Step]:
+        """Return the steps that compute which inputs acted in each piece of the period, by the acknowledgements."""
+        unit, nodes, found = np.eye(self.problem.plant.inputs), self.nodes, list[Step]()
+        wired = nodes.chosen([not one.linked for one in nodes.all])
+        for piece, name in enumerate(self.pieced):
+            found.append(Assign(self.at, name, _nonzero({HELD: unit - wired, COMMAND: wired})))
+            for one in (one for one in nodes.all if one.linked):
+                own = nodes.chosen([other is one for other in nodes.all])
+                for age in range(one.delays.depth, -1, -1):  # the newest packet last
+                    value = self.sent[age - 1] if age else COMMAND
+                    new = _nonzero({name: unit - own, value: own})
+                    on, told = self._arrival(one, age, piece)
+                    found.append(Assign(self.at, name, tuple(new if goes else {name: unit} for goes in told), on))
+        return found
+
+    def _arrival(self, one: Receiver, age: int, piece: int) -> tuple[Condition, tuple[bool, ...]]:
+        """Return the condition that shows whether a packet arrived before a piece ends, and its outcomes that do."""
+        if one.law is not None:
+            return Acted(one.node, age, piece), (False, True)
+        if not one.sure:
+            return Acknowledged(one.node), (False, True)
+        return SEND, tuple(one.node in sent for sent in self.nodes.sets)
+
+    def _by_set(self, name: str, unit: Array, value: str) -> Step:
+        """Return the step that takes up those entries of a value that are sent, and keeps the others."""
+        branches = list[dict[str, Array]]()
+        for sent in self.nodes.sets:
+            new = self.nodes.chosen(self.nodes.sent(sent))
+            branches.append(_nonzero({name: unit - new, value: new}))
+        return Assign(self.at, name, tuple(branches), SEND)
+
+    def _decide(self) -> list[Step]:
+        """Return the decision, the packets, and what the actuators do with them."""
+        nodes, found = self.nodes, list[Step]()
+        options: dict[str, Form] = {}
+        for sent in nodes.sets[:-1]:
+            share = self.price * sum(nodes.weights[link] for link in sent)
+            options[nodes.label(sent)] = Form(plus={self.cost(sent): 1.0}, constant=share)
+        options[nodes.label(nodes.sets[-1])] = Form(constant=self.price)
+        found.append(Decide(self.at, SEND, Trigger(options)))
+        unit = np.eye(self.problem.plant.inputs)
+        alone = len(nodes.all) == 1
+        names = {one.node: COMMAND if alone else f"{COMMAND}_{one.node}" for one in nodes.all}
+        for one in nodes.all if not alone else ():
+            found.append(Assign(self.at, names[one.node], {COMMAND: unit[one.rows]}))
+        for one in (one for one in nodes.all if one.linked):
+            labels = () if alone else tuple(nodes.label(sent) for sent in nodes.sets if one.node in sent)
+            found.append(Send(self.at, one.node, (names[one.node],), SEND, labels))
+        for one in nodes.all:
+            own = {names[one.node]: np.eye(len(one.rows))}
+            held: Terms = {one.signal: np.eye(len(one.rows))}
+            if one.linked:
+                found.append(Assign(one.node, one.signal, (held, own), Received(one.node)))
+            else:
+                found.append(Assign(one.node, one.signal, own))
+        return found
+
+    def _tried(self) -> list[Step]:
+        """Return the steps that remember on which links packets were sent."""
+        none, one = np.zeros((1, 1)), np.ones((1, 1))
+        found = list[Step]()
+        for receiver in (receiver for receiver in self.nodes.all if receiver.linked and not receiver.sure):
+            told = tuple({ONE: one if receiver.node in sent else none} for sent in self.nodes.sets)
+            found.append(Assign(self.at, self.nodes.named(TRIED, receiver.node), told, SEND))
+        return found
+
+    def _watched_flight(self) -> _Watched:
+        """Return the steps of links with one state: a flag for each packet says whether it is in flight."""
+        found, nodes = self.found, self.nodes
+        flags: dict[tuple[int, int], str] = {}
+        before, after, one = list[Step](), list[Step](), np.ones((1, 1))
+        for place, receiver in enumerate(nodes.all):
+            for age in range(1, receiver.delays.depth + 1):
+                flags[place, age] = nodes.named(f"flight {age}", receiver.node)
+        for key, flag in flags.items():
+            none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
+            before.append(Decide(self.at, self._in_flight(key), none_or_some))
+        modes = [frozenset((i, packet.age) for packet in mode.flight for i in packet.receivers)
+                 for mode in found.chain.modes]  # fmt: skip
+        if (len(nodes.sets) - 1) << len(flags) > MOST_FORMS:
+            raise ProblemError(
+                f"packets that arrive up to {number_of(self.depth, 'period')} late, over "
+                f"{number_of(len(nodes.links), 'link')}, have {2 ** len(flags)} sets of packets in flight and "
+                f"{len(nodes.sets)} sets of links to choose from; expected at most {MOST_FORMS} combinations: shorter "
+                "delays, a buffer, or fewer links"
+            )
+        for sent in nodes.sets[:-1]:
+            Psi, psi = (values[nodes.sent(sent)] for values in (found.Psi, found.psi))
+            # a set of packets is not a mode if they are never in flight together
+            costs = {mode: Form(self.signals, Psi[i], float(psi[i])) for i, mode in enumerate(modes)}
+            before += self._selected(costs, flags, self.cost(sent))
+        for place, receiver in enumerate(nodes.all):
+            names = {0: nodes.named(TRIED, receiver.node)}
+            names |= {age: flags[place, age] for age in range(1, receiver.delays.depth + 1)}
+            for age in range(receiver.delays.depth - 1, -1, -1):
+                flag = names[age + 1]
+                arrived = Acted(receiver.node, age, self.count - 1)
+                after.append(Assign(self.at, flag, ({names[age]: one}, {ONE: 0.0 * one}), arrived))
+                for newer in range(age):
+                    arrived = Acted(receiver.node, newer, self.count - 1)
+                    after.append(Assign(self.at, flag, ({flag: one}, {ONE: 0.0 * one}), arrived))
+        return _Watched(tuple(before), tuple(after), {})
+
+    def _in_flight(self, key: tuple[int, int]) -> str:
+        """Return the name of the decision whether a packet is in flight, by its receiver and age."""
+        return f"{self.nodes.named(f'packet {key[1]}', self.nodes.all[key[0]].node)} is in flight"
+
+    def _selected(
+        self, costs: Mapping[frozenset[tuple[int, int]], Form], flags: Mapping[tuple[int, int], str], cost: str
+    ) -> list[Step]:
+        """Return the steps that evaluate the cost of silence in the mode, the set of packets in flight."""
+        empty = frozenset[tuple[int, int]]()
+        if not flags:
+            return [Evaluate(self.at, cost, (costs[empty],))]
+        first, *others = flags
+        found, unit = list[Step](), np.ones((1, 1))
+        # the first packet selects a form; each further one selects between two values
+        names: dict[frozenset[tuple[int, int]], str] = {}
+        for mode in _subsets(others):
+            name = cost if not others else f"{cost} with {self._packets(mode)} in flight"
+            forms = (costs.get(mode, costs[empty]), costs.get(mode | {first}, costs[empty]))
+            found.append(Evaluate(self.at, name, forms, self._in_flight(first)))
+            names[mode] = name
+        for key in others:
+            merged: dict[frozenset[tuple[int, int]], str] = {}
+            for mode in (mode for mode in names if key not in mode):
+                till = self.nodes.named(str(key[1]), self.nodes.all[key[0]].node)
+                name = cost if key == others[-1] else f"{cost} up to {till} with {self._packets(mode)} in flight"
+                branches = {names[mode]: unit}, {names[mode | {key}]: unit}
+                found.append(Assign(self.at, name, branches, self._in_flight(key)))
+                merged[mode] = name
+            names = merged
+        return found
+
+    def _packets(self, mode: frozenset[tuple[int, int]]) -> str:
+        """Name the packets that are in flight."""
+        if not mode:
+            return "no older packet"
+        if len(self.nodes.all) == 1:
+            return "packets " + ", ".join(str(age) for _, age in sorted(mode))
+        return "packets " + ", ".join(f"{age} to {self.nodes.all[i].node}" for i, age in sorted(mode))
+
+    def _believed(self) -> _Watched:
+        """Return the steps of links with several states, which nobody knows: the cost is the mean over the modes."""
+        found, chain, nodes = self.found, self.found.chain, self.nodes
+        modes, depth, one = len(chain.modes), chain.delays.depth, np.ones((1, 1))
+        if modes > MOST_BELIEVED:
+            raise ProblemError(
+                f"packets that arrive up to {number_of(depth, 'period')} late, over links of "
+                f"{number_of(len(chain.delays.turns), 'state')}, have {number_of(modes, 'mode')}; expected at most "
+                f"{MOST_BELIEVED}: shorter delays, a buffer, or fewer states"
+            )
+        before = list[Step]()
+        half = 0.5 * np.eye(modes)
+        product = np.block([[0.0 * half, half], [half, 0.0 * half]])  # of the belief and the costs
+        for sent in nodes.sets[:-1]:
+            Psi, psi = (values[nodes.sent(sent)] for values in (found.Psi, found.psi))
+            names = [f"cost {f'if {label(sent)} ' if sent else ''}in mode {i}" for i in range(modes)]
+            forms = [Form(self.signals, Psi[i], float(psi[i])) for i in range(modes)]
+            before += [Evaluate(self.at, name, (form,)) for name, form in zip(names, forms, strict=True)]
+            before.append(Evaluate(self.at, self.cost(sent), (Form((BELIEF, *names), product),)))
+        after, tried, arrivals = list[Step](), list[str](), list[str]()
+        unsure = [place for place, receiver in enumerate(nodes.all) if not receiver.sure]
+        for receiver in (nodes.all[place] for place in unsure):
+            tried.append(nodes.named(TRIED, receiver.node))
+            for age in range(receiver.delays.depth + 1):
+                name = nodes.named(f"arrival {age}", receiver.node)
+                arrivals.append(name)
+                after.append(Assign(self.at, name, {ONE: -one}))
+                for piece in reversed(range(self.count if receiver.law is not None else 1)):
+                    on, _ = self._arrival(receiver, age, piece)
+                    after.append(Assign(self.at, name, ({name: one}, {ONE: piece * one}), on))
+        start = np.zeros(modes)
+        for i, mode in enumerate(chain.modes):
+            if not mode.flight:
+                start[i] = stationary(chain.delays.turns)[mode.link]
+        ages = [nodes.all[place].delays.depth + 1 for place in unsure]
+        update = LateBelief.of(found, self.cuts, start, dict(zip(unsure, ages, strict=True)))
+        after.append(Apply(self.at, {BELIEF: modes}, update, (BELIEF, *tried, *arrivals)))
+        return _Watched(tuple(before), tuple(after), {BELIEF: start})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -240,53 +579,6 @@ class _Watched(Displayed):
     initial: dict[str, Array]
 
 
-def _watched_flight(found: LateValue, signals: tuple[str, ...], count: int) -> _Watched:
-    """Return the steps of a link with one state: a flag for each age says whether the packet is in flight."""
-    (Psi, psi), depth = found.silent, found.chain.delays.depth
-    # a set of ages is not a mode if packets of these ages are never in flight together
-    costs = {mode.ages: Form(signals, Psi[i], float(psi[i])) for i, mode in enumerate(found.chain.modes)}
-    flags, before = {age: f"flight {age}" for age in range(1, depth + 1)}, list[Step]()
-    for age, flag in flags.items():
-        none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
-        before.append(Decide(AT, f"packet {age} is in flight", none_or_some))
-    before += _selected(costs, flags)
-    after, names, one = list[Step](), {0: TRIED, **flags}, np.ones((1, 1))
-    for age in range(depth - 1, -1, -1):
-        flag = names[age + 1]
-        after.append(Assign(AT, flag, ({names[age]: one}, {ONE: 0.0 * one}), Acted(LINK, age, count - 1)))
-        for newer in range(age):
-            after.append(Assign(AT, flag, ({flag: one}, {ONE: 0.0 * one}), Acted(LINK, newer, count - 1)))
-    return _Watched(tuple(before), tuple(after), {})
-
-
-def _believed(found: LateValue, signals: tuple[str, ...], cuts: tuple[float, ...]) -> _Watched:
-    """Return the steps of a link with several states, which nobody knows: the cost is the mean over the modes."""
-    (Psi, psi), chain = found.silent, found.chain
-    modes, depth, one = len(chain.modes), chain.delays.depth, np.ones((1, 1))
-    if modes > MOST_BELIEVED:
-        raise ProblemError(
-            f"packets that arrive up to {number_of(depth, 'period')} late, over a link of "
-            f"{number_of(len(chain.delays.turns), 'state')}, have {number_of(modes, 'mode')}; expected at most "
-            f"{MOST_BELIEVED}: shorter delays, a buffer, or fewer states"
-        )
-    names = [f"cost in mode {i}" for i in range(modes)]
-    before: list[Step] = [Evaluate(AT, name, (Form(signals, Psi[i], float(psi[i])),)) for i, name in enumerate(names)]
-    half = 0.5 * np.eye(modes)
-    product = np.block([[0.0 * half, half], [half, 0.0 * half]])  # of the belief and the costs
-    before.append(Evaluate(AT, COST, (Form((BELIEF, *names), product),)))
-    arrivals, after = [f"arrival {age}" for age in range(depth + 1)], list[Step]()
-    for age, name in enumerate(arrivals):
-        after.append(Assign(AT, name, {ONE: -one}))
-        for piece in reversed(range(len(cuts))):
-            after.append(Assign(AT, name, ({name: one}, {ONE: piece * one}), Acted(LINK, age, piece)))
-    start = np.zeros(modes)
-    for i, mode in enumerate(chain.modes):
-        if not mode.flight:
-            start[i] = stationary(chain.delays.turns)[mode.link]
-    after.append(Apply(AT, {BELIEF: modes}, LateBelief.of(found, cuts, start), (BELIEF, TRIED, *arrivals)))
-    return _Watched(tuple(before), tuple(after), {BELIEF: start})
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class LateBelief(Displayed):
     """Updates the controller's probabilities of the modes by the arrivals of a step, and predicts the next modes.
@@ -294,35 +586,48 @@ class LateBelief(Displayed):
     After arrivals that the law excludes, such as a lost acknowledgement, it begins again at ``start``.
     """
 
-    ways: tuple[tuple[int, bool, tuple[int, ...], int, float], ...]  # mode, sent, pieces by age, next mode, probability
+    ways: tuple[tuple[int, tuple[bool, ...], tuple[int, ...], int, float], ...]
+    """Mode, for each receiver whether a packet is sent, the piece in which each packet arrives or −1, by receiver and
+    age, next mode and probability."""
+    ages: tuple[int, ...]  # number of the ages of packets to each receiver
     start: Array
 
     @staticmethod
-    def of(found: LateValue, cuts: tuple[float, ...], start: Array) -> LateBelief:
-        """Return the update for the outcomes of a chain."""
-        chain, ways = found.chain, dict[tuple[int, bool, tuple[int, ...], int], float]()
+    def of(found: LateValue, cuts: tuple[float, ...], start: Array, ages: Mapping[int, int]) -> LateBelief:
+        """Return the update for the outcomes of a chain; ``ages`` counts those of some receivers, by their place."""
+        chain, ways = found.chain, dict[tuple[int, tuple[bool, ...], tuple[int, ...], int], float]()
         for sent, steps in chain.outcomes.items():
             for mode, outcomes in enumerate(steps):
                 for outcome in outcomes:
-                    pieces = [-1] * (chain.delays.depth + 1)
-                    for fraction, age in outcome.path[0]:
-                        pieces[age] = int(np.abs(np.array(cuts) - fraction).argmin())
-                    key = mode, sent[0], tuple(pieces), outcome.after
-                    ways[key] = ways.get(key, 0.0) + outcome.chance
-        return LateBelief(tuple((*key, chance) for key, chance in ways.items()), start)
+                    pieces = list[int]()
+                    for place, count in ages.items():
+                        own = [-1] * count
+                        for fraction, age in outcome.path[place]:
+                            own[age] = int(np.abs(np.array(cuts) - fraction).argmin())
+                        pieces += own
+                    key = mode, tuple(sent[place] for place in ages), tuple(pieces), outcome.after
+                    # decisions that differ only at other receivers have the same outcomes
+                    if all(goes for place, goes in enumerate(sent) if place not in ages):
+                        ways[key] = ways.get(key, 0.0) + outcome.chance
+        return LateBelief(tuple((*key, chance) for key, chance in ways.items()), tuple(ages.values()), start)
 
-    def __call__(self, belief: Any, tried: Any, *arrivals: Any) -> Any:
-        """Return the distribution at the next step; an arrival is the piece of a packet of that age, or −1."""
+    def __call__(self, belief: Any, *told: Any) -> Any:
+        """Return the distribution at the next step, by whether packets were sent and the pieces of their arrivals."""
+        tried, arrivals = told[: len(self.ages)], iter(told[len(self.ages) :])
         acted: list[Any] = []  # an arrival that finds a newer packet changes nothing
-        for age, found in enumerate(arrivals):
-            here = found[0]
-            for newer in arrivals[:age]:
-                here = np.where(newer[0] < -0.5, here, np.where(newer[0] <= here, -1.0, here))
-            acted.append(here)
-        seen = dict[tuple[bool, tuple[int, ...]], Any]()
+        for count in self.ages:
+            own = [next(arrivals)[0] for _ in range(count)]
+            for age, found in enumerate(own):
+                here = found
+                for newer in own[:age]:
+                    here = np.where(newer < -0.5, here, np.where(newer <= here, -1.0, here))
+                acted.append(here)
+        seen = dict[tuple[tuple[bool, ...], tuple[int, ...]], Any]()
         for _, sent, pieces, _, _ in self.ways:
             if (sent, pieces) not in seen:
-                likely = tried[0] if sent else 1.0 - tried[0]
+                likely: Any = 1.0
+                for flag, goes in zip(tried, sent, strict=True):
+                    likely = (flag[0] if goes else 1.0 - flag[0]) * likely
                 for here, piece in zip(acted, pieces, strict=True):
                     likely = likely * np.where(np.abs(here - piece) < 0.5, 1.0, 0.0)
                 seen[sent, pieces] = likely
@@ -336,36 +641,11 @@ class LateBelief(Displayed):
         return np.array(known)
 
 
-def _selected(costs: Mapping[tuple[int, ...], Form], flags: Mapping[int, str]) -> list[Step]:
-    """Return the steps that evaluate the cost of silence in the mode, the set of packets in flight."""
-    if not flags:
-        return [Evaluate(AT, COST, (costs[()],))]
-    found, last = list[Step](), max(flags)
-    # the first age selects a form; each further one selects between two values
-    names: dict[tuple[int, ...], str] = {}
-    for ages in (ages for ages in _subsets(last) if 1 not in ages):
-        other = (1, *ages)
-        name = COST if last == 1 else f"cost with {_named(ages)} in flight"
-        found.append(
-            Evaluate(AT, name, (costs.get(ages, costs[()]), costs.get(other, costs[()])), "packet 1 is in flight")
-        )
-        names[ages] = name
-    for age in range(2, last + 1):
-        merged: dict[tuple[int, ...], str] = {}
-        for ages in (ages for ages in names if age not in ages):
-            other = tuple(sorted((*ages, age)))
-            name = COST if age == last else f"cost up to {age} with {_named(ages)} in flight"
-            unit = np.ones((1, 1))
-            found.append(Assign(AT, name, ({names[ages]: unit}, {names[other]: unit}), f"packet {age} is in flight"))
-            merged[ages] = name
-        names = merged
-    return found
+def _nonzero(terms: dict[str, Array]) -> dict[str, Array]:
+    """Remove the terms whose matrix is zero, unless all are."""
+    return {name: matrix for name, matrix in terms.items() if matrix.any()} or terms
 
 
-def _subsets(last: int) -> list[tuple[int, ...]]:
-    """Return all sets of the ages 1 to ``last``."""
-    return [tuple(age for age in range(1, last + 1) if code >> (age - 1) & 1) for code in range(1 << last)]
-
-
-def _named(ages: tuple[int, ...]) -> str:
-    return "packets " + ", ".join(map(str, ages)) if ages else "no older packet"
+def _subsets(keys: Sequence[tuple[int, int]]) -> list[frozenset[tuple[int, int]]]:
+    """Return all sets of packets, by receiver and age."""
+    return [frozenset(key for i, key in enumerate(keys) if code >> i & 1) for code in range(1 << len(keys))]

@@ -362,7 +362,23 @@ def actuators_of(network: Network, plant: Plant) -> dict[str, tuple[str, list[in
 
 
 MOST_LINKS = 4  # whose sets are compared
+WEIGHTED_RATE = "rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
 ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
+
+
+def shares_of_prices(network: Network, links: Sequence[str]) -> dict[str, float]:
+    """Return the price of a packet on each link, divided by the sum of these prices over all links."""
+    prices = {link: network.links[link].price for link in links}
+    return {link: price / sum(prices.values()) for link, price in prices.items()}
+
+
+def expect_few_links(kind: str, links: Sequence[str]) -> None:
+    """Raise a ``PlacementError`` if a controller would choose among too many sets of links."""
+    if len(links) > MOST_LINKS:
+        raise PlacementError(
+            f"the policy kind {kind} chooses among the {2 ** len(links)} sets of {len(links)} actuator links; expected "
+            f"at most {MOST_LINKS} actuator links"
+        )
 
 
 def decides_on_sets(network: Network) -> bool:
@@ -376,6 +392,7 @@ def expect_ideal_sets(network: Network, kind: str, links: Sequence[str]) -> None
     for link in (link for link in links if not network.links[link].ideal):
         law = network.links[link]
         name = "burst" if law.burst is not None else "loss" if law.loss else "acknowledged"
+        name = "delay" if law.delay is not None else name
         got = f"{law.loss}" if name == "loss" else "given"
         raise PlacementError(
             f"{network.key(link, name)} is {got}, but the controller of the policy kind {kind} chooses among sets of "
@@ -403,8 +420,7 @@ class JointSets(Displayed):
     @cached_property
     def weights(self) -> Mapping[str, float]:
         """Price of a packet on each link, divided by the sum of these prices over all links."""
-        prices = {link: self.network.links[link].price for link in self.links}
-        return {link: price / sum(prices.values()) for link, price in prices.items()}
+        return shares_of_prices(self.network, self.links)
 
     @cached_property
     def all(self) -> tuple[tuple[str, ...], ...]:
@@ -455,11 +471,7 @@ class JointSets(Displayed):
         """Raise an error if the controller of this policy cannot decide which set of actuator links sends."""
         kind, listed = self.policy.kind, ", ".join(self.links)
         sends = [step for step in self.policy.steps if isinstance(step, Send)]
-        if len(self.links) > MOST_LINKS:
-            raise PlacementError(
-                f"the policy kind {kind} chooses among the {2 ** len(self.links)} sets of {len(self.links)} actuator "
-                f"links; expected at most {MOST_LINKS} actuator links"
-            )
+        expect_few_links(kind, self.links)
         if any(step.payload != (COMMAND,) for step in sends):
             raise PlacementError(
                 f"the packets of the policy kind {kind} carry more than the input, but the controller chooses among "
@@ -534,7 +546,7 @@ class JointSets(Displayed):
             forms = (*(self.form(identity.forms[0], sent) for sent in self.all[:-1]), Form())
             identity = replace(identity, forms=forms)
         if guarantee is not None and guarantee.base is not None:
-            statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
+            statement = f"{guarantee.statement}; {WEIGHTED_RATE}"
             guarantee = replace(guarantee, statement=statement, weights=self.weights)
         functions = theory.functions | {self.named(name, sent) for name in theory.functions for sent in self.all}
         return replace(

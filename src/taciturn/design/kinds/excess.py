@@ -31,7 +31,7 @@ from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.route import CANDIDATE, Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.design.late import acknowledges_late, late_excess
+from taciturn.design.late import informed, late_excess
 from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -134,11 +134,12 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
-    if acknowledges_late(links):
+    if informed(links):
         if (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold"):
+            acknowledged = next(node for node in links.actuators if links.acknowledges(node))
             raise ProblemError(
-                f"{links.lateness('actuator')}, with acknowledgements; expected link = 'actuator', "
-                "every = 1, actuation = 'hold', gains = 'lqg' and no retry, or a buffer"
+                f"{links.lateness(acknowledged)}, with acknowledgements; expected link = 'actuator', every = 1, "
+                "actuation = 'hold', gains = 'lqg' and no retry, or a buffer"
             )
         kept = None if controller is None else controller_from(controller)
         return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay)
@@ -217,5 +218,6 @@ KIND = Kind(
     offered=1,
     keeps_controller=True,
     joint_links=True,
+    informed_links=True,
     costs=("average", "horizon", "discount"),
 )
