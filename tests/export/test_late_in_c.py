@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from counts import few
 from export.devices import STRICT, Device, compile_node, needs_compiler
-from runtime.late import pendulum
+from runtime.late import pendulum, sets, told_late
 
 import taciturn
 from taciturn.nodes.node import Node
@@ -24,6 +24,8 @@ LAWS: dict[str, tuple[int, Problem]] = {
     "0 to 4 steps, some never": (5000, pendulum({"delta": 0.05}, delay=[0.5, 0.1, 0.1, 0.1, 0.15])),
     "rounded": (3000, pendulum({"delta": 0.05}, payload="float32")),
     "not acknowledged": (3000, pendulum(acknowledged=False)),
+    "sets of actuators": (3000, sets()),
+    "sets, told late": (3000, told_late()),
 }
 
 
@@ -33,7 +35,8 @@ def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_p
     rows, problem = LAWS[name]
     found = print_folder(problem.close(problem.design()), "pendulum", rows=rows)
     delays = {int(one) - 1 for one in np.unique(found.vector.arrived)}
-    assert delays == set(range(-1, len(problem.network.links["actuator"].delay.waits)))  # type: ignore[union-attr]
+    laws = [law.delay for law in problem.network.links.values() if law.delay is not None]
+    assert delays == set(range(-1, max(len(law.waits) for law in laws)))
     found.write(tmp_path)
     sources = [str(path) for path in tmp_path.glob("*.c")]
     command = [needs_compiler(), *STRICT, "-O1", f"-I{tmp_path}", "-o", str(tmp_path / "check"), *sources, "-lm"]

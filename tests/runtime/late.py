@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from taciturn.model.packets import inputs_at, outputs_at, roles
 from taciturn.model.steps import Received
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
-from taciturn.problem import Problem
+from taciturn.problem import Problem, parse
 from taciturn.program import numpy as interpreter
 from taciturn.program.all_nodes import ACTING
 from taciturn.program.draws import NORMAL
@@ -32,6 +33,50 @@ def pendulum(policy: dict[str, Any] | None = None, **link: Any) -> Problem:
     """Return the inverted pendulum over a link to the actuator that delays packets at random."""
     links = {f"links.actuator.{key}": value for key, value in {**ACTUATOR, **link}.items()}
     return taciturn.load("inverted-pendulum").changed({**EXCESS, **(policy or {}), **links})
+
+
+SETS = """
+[plant]
+dt = 1.0
+A = [[0.98, 0.1], [0.05, 0.9]]
+B = [[1.0, 0.2], [0.1, 0.8]]
+W = [[0.1, 0.0], [0.0, 0.1]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+V = [[0.01, 0.0], [0.0, 0.01]]
+[cost]
+Q = [[1.0, 0.0], [0.0, 1.0]]
+R = [[5.0, 0.0], [0.0, 5.0]]
+[nodes]
+board = {controls = true}
+top = {measures = [1], site = "board"}
+bottom = {measures = [0], site = "board"}
+valve = {applies = [0]}
+pump = {applies = [1]}
+[links]
+valve = {delay = [0.5, 0.3, 0.2], acknowledged = true}
+pump = {loss = 0.1, acknowledged = true, price = 2.0}
+[policy]
+kind = "excess"
+theta = 0.1
+"""
+GAINS = """
+[controller]
+A = [[0.5]]
+B = [[0.3, 0.1]]
+C = [[0.1], [0.1]]
+D = [[0.3, 0.05], [0.1, 0.28]]
+"""
+
+
+def sets(**changes: Any) -> Problem:
+    """Return a plant with two actuators, to which packets may be late or lost, on which the controller decides."""
+    return parse(tomllib.loads(SETS), "sets").changed(changes)
+
+
+def told_late(**changes: Any) -> Problem:
+    """Return the same plant with a given controller, and acknowledgements that come one step late."""
+    late = {f"links.{link}.acknowledgement_delay": 1 for link in ("valve", "pump")}
+    return parse(tomllib.loads(SETS + GAINS), "sets").changed({**late, **changes})
 
 
 class Shown(TimeStep):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from runtime.late import WITHIN, delays, differing_steps, inputs_of, nodes_of, pendulum, record
+from runtime.late import WITHIN, delays, differing_steps, inputs_of, nodes_of, pendulum, record, sets, told_late
 from runtime.loops import column
 
 import taciturn
@@ -43,11 +43,23 @@ def loops() -> dict[str, Callable[[], Loop]]:
         problem = pendulum({"delta": 0.05}, **more)
         return problem.close(problem.design())
 
+    def closed(problem: taciturn.Problem) -> Loop:
+        return problem.close(problem.design())
+
+    burst, states = {"law": "gilbert-elliott", "to_bad": 0.1, "to_good": 0.3, "loss_good": 0.0, "loss_bad": 0.4}, [[0.9, 0.1], [0.2, 0.6]]
     early, late = {"delay": {"seconds": [0.5, 1.5], "probability": [0.5, 0.4]}}, {"seconds": 1.2}
     return {
         "acknowledged": acknowledged,
         "acknowledged, within periods": lambda: acknowledged(delay=WITHIN),
         "acknowledged, rounded": lambda: acknowledged(payload="float32"),
+        "sets of actuators": lambda: closed(sets()),
+        "sets of actuators, bursts": lambda: closed(sets(**{
+            "links.valve.delay": {"states": states}, "links.valve.burst": burst
+        })),
+        "sets, told late": lambda: closed(told_late()),
+        "one told late": lambda: closed(told_late(**{
+            "links.valve.delay": None, "links.pump.delay": [0.6, 0.4]
+        })),
         "periodic": lambda: held({"kind": "periodic", "theta": None, "every": 1}, WITHIN),
         "lqg": lambda: held({}, [0.5, 0.2, 0.3]),
         "sensors and actuators": lambda: tanks({

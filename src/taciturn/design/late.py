@@ -16,6 +16,9 @@ set of links that send: that with the least sum of the cost of silence on the ot
 share of its packets in the price of packets on all links. Sending on all links costs δ, so the bound holds with the
 mean of the rates, weighted by the prices.
 
+If acknowledgements come one step late, the controller weighs all histories of the step before (``Histories``). Such a
+controller cannot be LQG, whose estimate depends on the inputs that acted.
+
 The command is that of a given controller, or LQG with the gains for a constant delay, by default the mean delay of the
 packets that arrive. With d whole periods and a part of one, these gains are those of the plant with registers for the
 last commands (``lqg/registers``). A command that is still to act is in a packet that may be in flight or lost, so the
@@ -29,14 +32,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn._text import number_of
-from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state
+from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state, outputs_of
 from taciturn.base.given_controller import GivenLoop, lqg_observer
 from taciturn.base.late import Delays, LateValue, chain_of, fourth_growth, late_value
 from taciturn.base.nominal import Nominal
@@ -44,6 +46,7 @@ from taciturn.base.periods import periods_of, with_controller, with_filter
 from taciturn.base.route import MEASURED, NEXT, REGISTER, nonempty
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.kind import check_place
+from taciturn.design.late_belief import Histories, LateBelief, Way
 from taciturn.design.several_nodes import (
     COMMAND,
     WEIGHTED_RATE,
@@ -60,7 +63,7 @@ from taciturn.lqg.registers import Pieces, registers_of
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, LATE
-from taciturn.model.delay import LONGEST, DelayLaw, Transport, Wait
+from taciturn.model.delay import LONGEST, WHOLE, DelayLaw, Transport, Wait
 from taciturn.model.losses import stationary
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -85,6 +88,9 @@ from taciturn.model.trigger import Form, Trigger
 
 COST, TRIED, BELIEF = "cost of silence", "tried", "belief"
 MOST_BELIEVED = 64  # modes of which a controller has probabilities
+LAST, COSTS = "last command", "costs of silence"
+MOST_HISTORIES = 256  # of a step that is not acknowledged yet
+LEAST_NOISE = 1e-12  # share of an output's error in all of them, below which it counts as none
 MOST_FORMS = 1024  # of the cost of silence, one for each set of links and each mode
 OTHER_GAINS = "gains for another delay (design_delay)"
 
@@ -142,6 +148,8 @@ def late_excess(
     else:
         base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
         state = (ESTIMATE, MEASURED, *((REGISTER,) if len(loop.controller.A) else ()))
+    if nodes.told_late:
+        _expect_uninformed(nodes, loop if kept is not None else None, len(delays.turns))
     rows = [tuple(one.rows) for one in nodes.all]
     found = late_value(chain_of(base, K, delays, rows), loop.remedy if kept is not None else OTHER_GAINS)
     J = found.cost - problem.noise_cost
@@ -157,7 +165,7 @@ def late_excess(
         guarantee=bound,
         identity=Identity(problem.per_unit(J), (*added, Form()), SEND),
         covers=GAUSSIAN_THEORY | LATE | BURSTS,
-        functions=frozenset({BELIEF}),
+        functions=frozenset({BELIEF, COSTS}),
         fourth=fourth,
     )
     settling = max(1 / (1 - found.growth), 1 / (1 - steady.slowest))
@@ -166,6 +174,20 @@ def late_excess(
     sites = network.sites if network.own_nodes else COLLOCATED
     policy = nominal.policy(kind, steps, begun, claims, sites=sites, network=network)
     return replace(policy, notes=(*policy.notes, *loop.notes))
+
+
+def _expect_uninformed(nodes: Receivers, given: GivenLoop | None, states: int) -> None:
+    """Raise an error if the control needs to know which inputs act, or which state a link has, before it is told."""
+    refused = {
+        "and LQG predicts with the inputs that act, which it is not told in time; expected a given controller without "
+        "controller.E": given is None,
+        "and the controller reads the applied input (controller.E), which it is not told in time; expected E = 0": (
+            given is not None and bool(given.controller.E.any())
+        ),
+        "and the state of a link with bursts is unknown; expected independent losses and delays": states > 1,
+    }
+    for got in (got for got, holds in refused.items() if holds):
+        raise ProblemError(f"{nodes.late_by_one} is 1, {got}, or acknowledgements before the next step")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -208,9 +230,30 @@ class Receivers(Displayed):
             found.append(Receiver(node, signal, rows, linked, law, law_and_losses))
         nodes = Receivers(network, tuple(found))
         expect_few_links(kind, nodes.links)
+        unsure = [network.links[one.node] for one in found if one.linked and not one.sure]
+        if nodes.told_late and not all(law.acknowledgement_delay for law in unsure):
+            raise ProblemError(
+                f"{nodes.late_by_one} is 1, and acknowledgements on another link come at once; expected the same "
+                "acknowledgement_delay on all links that delay or drop packets"
+            )
         for node in network.sensors if network.own_nodes else ():
             check_place(kind, network, "sensor", node, True)
         return nodes
+
+    @property
+    def told_late(self) -> bool:
+        """Whether acknowledgements come one step late."""
+        links = [self.network.links[one.node] for one in self.all if one.linked and not one.sure]
+        return any(law.acknowledgement_delay for law in links)
+
+    @property
+    def late_by_one(self) -> str:
+        """The key of problem files that states that acknowledgements come one step late."""
+        return next(
+            self.network.key(one.node, "acknowledgement_delay")
+            for one in self.all
+            if one.linked and self.network.links[one.node].acknowledgement_delay
+        )
 
     @cached_property
     def links(self) -> tuple[str, ...]:
@@ -311,14 +354,9 @@ class _LateSteps(Displayed):
         """Return the policy steps, and the initial values of their memories."""
         plant, at, depth, given = self.problem.plant, self.at, self.depth, self.given
         unit = np.eye(plant.inputs)
-        measured = self.nodes.network.measurements(plant.sensed, plant.set_points)
-        before = list[Step]()
-        if "y" not in measured:
-            parts = {
-                name: np.eye(plant.sensed)[:, [*rows]] for name, (_, rows) in measured.items() if name != REFERENCE
-            }
-            before.append(Assign(at, "y", parts))
-        estimation = estimate_state(plant, self.problem.filter(), at)
+        if self.nodes.told_late:
+            return self._steps_told_late()
+        before, estimation = self._measured(), estimate_state(plant, self.problem.filter(), at)
         initial = dict(estimation.initial)
         before += estimation.correct
         if given is None:
@@ -335,7 +373,7 @@ class _LateSteps(Displayed):
             command = {REGISTER: c.C, MEASURED: c.D}
         before.append(Assign(at, COMMAND, nonempty(command)))
         watched = self._watched_flight() if len(self.found.chain.delays.turns) == 1 else self._believed()
-        rest = [*self._acting(), *self._tried(), *watched.after]
+        rest = [*self._acting(COMMAND), *self._tried(), *watched.after]
         for age in range(depth, 1, -1):
             rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2]: unit}))
         if depth:
@@ -348,6 +386,91 @@ class _LateSteps(Displayed):
             c = given.controller
             rest.append(Assign(at, NEXT, nonempty({REGISTER: c.A, MEASURED: c.B, HELD: c.E})))
         return (*before, *watched.before, *self._decide(), *rest), {**initial, **watched.initial}
+
+    def _measured(self) -> list[Step]:
+        """Return the step that collects the measurements of several sensors, if there are any."""
+        plant = self.problem.plant
+        measured = self.nodes.network.measurements(plant.sensed, plant.set_points)
+        if "y" in measured:
+            return []
+        outputs = {name: rows for name, (_, rows) in measured.items() if name != REFERENCE}
+        return [Assign(self.at, "y", {name: np.eye(plant.sensed)[:, [*rows]] for name, rows in outputs.items()})]
+
+    def _steps_told_late(self) -> tuple[tuple[Step, ...], dict[str, Array]]:
+        """Return the policy steps and initial values if acknowledgements tell, after a decision, of the step before.
+
+        All memories are those of the beginning of that step, and follow once its outcome is known.
+        """
+        plant, at, given, depth = self.problem.plant, self.at, self.given, self.depth
+        assert given is not None, "LQG needs to know which inputs act"
+        c, steady, unit = given.controller, self.problem.filter(), np.eye(plant.inputs)
+        has_state = bool(len(c.A))
+        before = [*self._measured(), Assign(at, MEASURED, outputs_of(plant))]
+        if has_state:
+            before.append(Assign(at, REGISTER, {NEXT: np.eye(len(c.A))}))
+        before.append(Assign(at, COMMAND, nonempty({REGISTER: c.C, MEASURED: c.D})))
+        flags = self._flags()
+        tried = [self.nodes.named(TRIED, one.node) for one in self.nodes.all if one.linked and not one.sure]
+        known = (*self.sent, HELD, LAST)  # in the order of the columns of ``Way``
+        reads = (ESTIMATE, MEASURED, *((REGISTER,) if has_state else ()), *known, *tried, *flags.values())
+        sets = self.nodes.sets[:-1]
+        before.append(Apply(at, {COSTS: len(sets)}, self._histories(flags, len(known)), reads))
+        for sent, row in zip(sets, np.eye(len(sets)), strict=True):
+            before.append(Assign(at, self.cost(sent), {COSTS: row[None]}))
+        effects = [plant.B] if self.pieces is None else np.split(self.pieces.B, self.count, axis=1)
+        rest: list[Step] = [*self._acting(LAST), *self._flown(flags)]
+        rest.append(Assign(at, "prior", {ESTIMATE: plant.A, **dict(zip(self.pieced, effects, strict=True))}))
+        rest.append(Assign(at, INNOVATION, {MEASURED: np.eye(plant.outputs), "prior": -plant.C}))
+        rest.append(Assign(at, ESTIMATE, {"prior": np.eye(plant.states), INNOVATION: steady.gain}))
+        rest.append(Assign(at, HELD, {self.pieced[-1]: unit}))
+        for age in range(depth, 0, -1):
+            rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2] if age > 1 else LAST: unit}))
+        rest += [self._by_set(LAST, unit, COMMAND), *self._tried()]
+        begun = plant.mean - plant.B @ given.point.before
+        initial: dict[str, Array] = {ESTIMATE: np.linalg.lstsq(plant.A, begun, rcond=None)[0]}
+        if given.point.before.any():
+            initial |= dict.fromkeys((*self.sent, LAST), given.point.before)
+        if has_state:
+            rest.append(Assign(at, NEXT, nonempty({REGISTER: c.A, MEASURED: c.B})))
+            initial[NEXT] = given.point.start
+        return (*before, *self._decide(), *rest), initial
+
+    def _histories(self, flags: Mapping[tuple[int, int], str], known: int) -> Histories:
+        """Return the function that weighs the outcomes of the last step."""
+        found, nodes, plant = self.found, self.nodes, self.problem.plant
+        steady, n = self.problem.filter(), len(found.chain.plant.noise)
+        S = steady.innovation[: plant.sensed, : plant.sensed]
+        if np.linalg.eigvalsh(S)[0] <= LEAST_NOISE * np.trace(S):
+            raise ProblemError(
+                f"{nodes.late_by_one} is 1, and a combination of the outputs has no noise (plant.V, plant.W); expected "
+                "noise on all outputs, which tells how likely each history is"
+            )
+        precision = np.zeros_like(steady.innovation)
+        precision[: plant.sensed, : plant.sensed] = np.linalg.inv(S)
+        effects = plant.B if self.pieces is None else self.pieces.B
+        watched = [i for i, one in enumerate(nodes.all) if one.linked and not one.sure]
+        ways = list[Way]()
+        for sent, steps in found.chain.outcomes.items():
+            if not all(goes for i, goes in enumerate(sent) if i not in watched):  # their inputs are those of LAST
+                continue
+            for mode, outcomes in zip(self._modes(), steps, strict=True):
+                for one in outcomes:
+                    motion, fractions = one.motion, np.array(one.motion.fractions)
+                    acts = [int((fractions <= cut + WHOLE).sum()) for cut in self.cuts]
+                    moved = effects @ np.vstack([motion.inputs[i][:, n:] for i in acts])
+                    kept = np.hstack([motion.problem.A[n:, n:], motion.problem.B[n:]])
+                    Psi = np.array([found.Psi[nodes.sent(links)][one.after] for links in nodes.sets[:-1]])
+                    psi = np.array([found.psi[nodes.sent(links)][one.after] for links in nodes.sets[:-1]])
+                    flight, tried = tuple(key in mode for key in flags), tuple(sent[i] for i in watched)
+                    ways.append(Way(flight, tried, one.chance, moved, kept, Psi, psi))
+        if len(ways) > MOST_HISTORIES:
+            raise ProblemError(
+                f"{nodes.late_by_one} is 1, and packets that arrive up to {number_of(self.depth, 'period')} late have "
+                f"{len(ways)} histories of a step; expected at most {MOST_HISTORIES}: shorter delays, a buffer, or "
+                "acknowledgements before the next step"
+            )
+        most = 2 * self.price + found.cost + 1  # above the price in any case
+        return Histories(tuple(ways), plant.A, plant.C, steady.gain, precision, known, most)
 
     @property
     def at(self) -> str:
@@ -388,16 +511,17 @@ class _LateSteps(Displayed):
         """Return the name of what it costs that only a set of links sends."""
         return f"{COST} if {label(sent)}" if sent else COST
 
-    def _acting(self) -> list[Step]:
+    def _acting(self, command: str) -> list[Step]:
         """Return the steps that compute which inputs acted in each piece of the period, by the acknowledgements."""
         unit, nodes, found = np.eye(self.problem.plant.inputs), self.nodes, list[Step]()
-        wired = nodes.chosen([not one.linked for one in nodes.all])
+        # a last command is one that has been sent, or repeats what is applied
+        wired = nodes.chosen([one.sure if command == LAST else not one.linked for one in nodes.all])
         for piece, name in enumerate(self.pieced):
-            found.append(Assign(self.at, name, _nonzero({HELD: unit - wired, COMMAND: wired})))
-            for one in (one for one in nodes.all if one.linked):
+            found.append(Assign(self.at, name, _nonzero({HELD: unit - wired, command: wired})))
+            for one in (one for one in nodes.all if one.linked and not (one.sure and command == LAST)):
                 own = nodes.chosen([other is one for other in nodes.all])
                 for age in range(one.delays.depth, -1, -1):  # the newest packet last
-                    value = self.sent[age - 1] if age else COMMAND
+                    value = self.sent[age - 1] if age else command
                     new = _nonzero({name: unit - own, value: own})
                     on, told = self._arrival(one, age, piece)
                     found.append(Assign(self.at, name, tuple(new if goes else {name: unit} for goes in told), on))
@@ -456,17 +580,10 @@ class _LateSteps(Displayed):
 
     def _watched_flight(self) -> _Watched:
         """Return the steps of links with one state: a flag for each packet says whether it is in flight."""
-        found, nodes = self.found, self.nodes
-        flags: dict[tuple[int, int], str] = {}
-        before, after, one = list[Step](), list[Step](), np.ones((1, 1))
-        for place, receiver in enumerate(nodes.all):
-            for age in range(1, receiver.delays.depth + 1):
-                flags[place, age] = nodes.named(f"flight {age}", receiver.node)
+        found, nodes, flags, before = self.found, self.nodes, self._flags(), list[Step]()
         for key, flag in flags.items():
             none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
             before.append(Decide(self.at, self._in_flight(key), none_or_some))
-        modes = [frozenset((i, packet.age) for packet in mode.flight for i in packet.receivers)
-                 for mode in found.chain.modes]  # fmt: skip
         if (len(nodes.sets) - 1) << len(flags) > MOST_FORMS:
             raise ProblemError(
                 f"packets that arrive up to {number_of(self.depth, 'period')} late, over "
@@ -477,8 +594,26 @@ class _LateSteps(Displayed):
         for sent in nodes.sets[:-1]:
             Psi, psi = (values[nodes.sent(sent)] for values in (found.Psi, found.psi))
             # a set of packets is not a mode if they are never in flight together
-            costs = {mode: Form(self.signals, Psi[i], float(psi[i])) for i, mode in enumerate(modes)}
+            costs = {mode: Form(self.signals, Psi[i], float(psi[i])) for i, mode in enumerate(self._modes())}
             before += self._selected(costs, flags, self.cost(sent))
+        return _Watched(tuple(before), tuple(self._flown(flags)), {})
+
+    def _flags(self) -> dict[tuple[int, int], str]:
+        """Name the signals, 1 or 0, that say whether a packet is in flight, by its receiver and its age."""
+        found: dict[tuple[int, int], str] = {}
+        for place, receiver in enumerate(self.nodes.all):
+            for age in range(1, receiver.delays.depth + 1):
+                found[place, age] = self.nodes.named(f"flight {age}", receiver.node)
+        return found
+
+    def _modes(self) -> list[frozenset[tuple[int, int]]]:
+        """Return the packets in flight in each mode, by receiver and age; with one state of the links, they are it."""
+        modes = self.found.chain.modes
+        return [frozenset((i, packet.age) for packet in mode.flight for i in packet.receivers) for mode in modes]
+
+    def _flown(self, flags: Mapping[tuple[int, int], str]) -> list[Step]:
+        """Return the steps that follow the packets in flight, by the acknowledgements of a step."""
+        nodes, after, one = self.nodes, list[Step](), np.ones((1, 1))
         for place, receiver in enumerate(nodes.all):
             names = {0: nodes.named(TRIED, receiver.node)}
             names |= {age: flags[place, age] for age in range(1, receiver.delays.depth + 1)}
@@ -489,7 +624,7 @@ class _LateSteps(Displayed):
                 for newer in range(age):
                     arrived = Acted(receiver.node, newer, self.count - 1)
                     after.append(Assign(self.at, flag, ({flag: one}, {ONE: 0.0 * one}), arrived))
-        return _Watched(tuple(before), tuple(after), {})
+        return after
 
     def _in_flight(self, key: tuple[int, int]) -> str:
         """Return the name of the decision whether a packet is in flight, by its receiver and age."""
@@ -577,68 +712,6 @@ class _Watched(Displayed):
     before: tuple[Step, ...]  # before the decision
     after: tuple[Step, ...]  # after the packet, with the acknowledgements of the step
     initial: dict[str, Array]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LateBelief(Displayed):
-    """Updates the controller's probabilities of the modes by the arrivals of a step, and predicts the next modes.
-
-    After arrivals that the law excludes, such as a lost acknowledgement, it begins again at ``start``.
-    """
-
-    ways: tuple[tuple[int, tuple[bool, ...], tuple[int, ...], int, float], ...]
-    """Mode, for each receiver whether a packet is sent, the piece in which each packet arrives or −1, by receiver and
-    age, next mode and probability."""
-    ages: tuple[int, ...]  # number of the ages of packets to each receiver
-    start: Array
-
-    @staticmethod
-    def of(found: LateValue, cuts: tuple[float, ...], start: Array, ages: Mapping[int, int]) -> LateBelief:
-        """Return the update for the outcomes of a chain; ``ages`` counts those of some receivers, by their place."""
-        chain, ways = found.chain, dict[tuple[int, tuple[bool, ...], tuple[int, ...], int], float]()
-        for sent, steps in chain.outcomes.items():
-            for mode, outcomes in enumerate(steps):
-                for outcome in outcomes:
-                    pieces = list[int]()
-                    for place, count in ages.items():
-                        own = [-1] * count
-                        for fraction, age in outcome.path[place]:
-                            own[age] = int(np.abs(np.array(cuts) - fraction).argmin())
-                        pieces += own
-                    key = mode, tuple(sent[place] for place in ages), tuple(pieces), outcome.after
-                    # decisions that differ only at other receivers have the same outcomes
-                    if all(goes for place, goes in enumerate(sent) if place not in ages):
-                        ways[key] = ways.get(key, 0.0) + outcome.chance
-        return LateBelief(tuple((*key, chance) for key, chance in ways.items()), tuple(ages.values()), start)
-
-    def __call__(self, belief: Any, *told: Any) -> Any:
-        """Return the distribution at the next step, by whether packets were sent and the pieces of their arrivals."""
-        tried, arrivals = told[: len(self.ages)], iter(told[len(self.ages) :])
-        acted: list[Any] = []  # an arrival that finds a newer packet changes nothing
-        for count in self.ages:
-            own = [next(arrivals)[0] for _ in range(count)]
-            for age, found in enumerate(own):
-                here = found
-                for newer in own[:age]:
-                    here = np.where(newer < -0.5, here, np.where(newer <= here, -1.0, here))
-                acted.append(here)
-        seen = dict[tuple[tuple[bool, ...], tuple[int, ...]], Any]()
-        for _, sent, pieces, _, _ in self.ways:
-            if (sent, pieces) not in seen:
-                likely: Any = 1.0
-                for flag, goes in zip(tried, sent, strict=True):
-                    likely = (flag[0] if goes else 1.0 - flag[0]) * likely
-                for here, piece in zip(acted, pieces, strict=True):
-                    likely = likely * np.where(np.abs(here - piece) < 0.5, 1.0, 0.0)
-                seen[sent, pieces] = likely
-        weights: list[Any] = [0.0] * len(self.start)
-        for mode, sent, pieces, after, chance in self.ways:
-            weights[after] = weights[after] + chance * seen[sent, pieces] * belief[mode]
-        total = sum(weights)
-        share = np.where(total > 0.0, total, 1.0)
-        pairs = zip(weights, self.start.tolist(), strict=True)
-        known: list[Any] = [np.where(total > 0.0, weight / share, start) for weight, start in pairs]
-        return np.array(known)
 
 
 def _nonzero(terms: dict[str, Array]) -> dict[str, Array]:

@@ -132,6 +132,12 @@ def _expect_told(policy: Policy, network: Network, link: str) -> None:
             f"{'is not random' if link not in network.late else f'ends at the parts {list(pieces or (0.0,))}'}; "
             "expected delays with the parts of the design"
         )
+    given, known = (one.links[link].acknowledgement_delay for one in (network, policy.network))
+    if given != known:
+        raise ProblemError(
+            f"{network.key(link, 'acknowledgement_delay')} is {given}, but this {policy.kind} policy was designed for "
+            f"{known}; expected acknowledgements as late as those of the design"
+        )
 
 
 def _is_held(step: Assign) -> bool:

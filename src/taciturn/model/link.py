@@ -47,6 +47,8 @@ class LinkLaw(Displayed):
             ``{"trace": "file.csv"}``, or with a burst ``{"states": [law, law]}``; default: no delay.
         buffer: steps, or ``{"seconds": x}``, after which the receiver uses each packet; a later one is lost. None: it
             uses a packet when it arrives.
+        acknowledgement_delay: steps after which the sender learns what has arrived in a step: 0, before its next
+            decision, or 1.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], loss and burst are both given, a range, price or energy is not
@@ -70,6 +72,7 @@ class LinkLaw(Displayed):
     max_interval: int | None = None
     delay: DelayLaw | None = field(default=None, metadata=stated_as(Any))  # checked below, with all its forms
     buffer: Wait | None = field(default=None, metadata=stated_as(Any))
+    acknowledgement_delay: int = 0
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -87,6 +90,13 @@ class LinkLaw(Displayed):
         self._check_delay()
         if self.acknowledged is None and (loss > 0 or self.burst is not None or self._drops):
             object.__setattr__(self, "acknowledged", False)
+        if count("acknowledgement_delay", self.acknowledgement_delay, 0) > 1 or (
+            self.acknowledgement_delay and not self.acknowledged
+        ):
+            raise ProblemError(
+                f"acknowledgement_delay is {self.acknowledgement_delay}, and acknowledged is "
+                f"{str(bool(self.acknowledged)).lower()}; expected 0, or 1 on a link with acknowledgements"
+            )
         choice("payload", self.payload, CODES)
         if self.range is not None:
             if self.payload != "int16":
@@ -115,7 +125,7 @@ class LinkLaw(Displayed):
 
     def _check_delay(self) -> None:
         """Check law of delay and buffer, and convert them from the forms of a problem file."""
-        law = check_delay(self.delay)
+        law = self.delay if isinstance(cast("object", self.delay), DelayLaw) else check_delay(self.delay)
         if law is not None and len(law.odds) > 1 and (self.burst is None or len(self.burst.losses) != len(law.odds)):
             states = "no burst" if self.burst is None else f"a burst with {number_of(len(self.burst.losses), 'state')}"
             raise ProblemError(
@@ -162,11 +172,13 @@ class LinkLaw(Displayed):
 
         A link whose delays are random, and whose receiver has no buffer, is returned as it is. If the link drops
         packets and acknowledges those that arrive, a sender learns only after the delay which packet was lost, so the
-        delay remains one of the link, with a single value.
+        delay remains one of the link, with a single value. It also remains, if only as 0, where acknowledgements are
+        late.
         """
         law, buffer, after = self.delay, self.buffer, self._used_after
-        if after is None:
+        if after is None and not (law is None and self.acknowledgement_delay):
             return self
+        after = after or Wait()
         losses: float | LossLaw = self.burst or self.loss
         if law is not None and buffer is not None:
             losses = law.losses(buffer, self.loss, self.burst)
@@ -204,7 +216,14 @@ class LinkLaw(Displayed):
             late = self.late
             lost = f", {percent(late)} never arrive or arrive later" if late else ""
             parts.append(f"a packet is used {self.buffer.text()} after it was sent{lost}")
+        if self.acknowledgement_delay:
+            parts.append("acknowledgements arrive one step late")
         return tuple(parts)
+
+    @property
+    def timed(self) -> bool:
+        """Whether packets or their acknowledgements take time, or a buffer lets packets wait."""
+        return self.delay is not None or self.buffer is not None or self.acknowledgement_delay > 0
 
     @property
     def states(self) -> tuple[float, ...]:

@@ -146,7 +146,18 @@ TOO_LATE = "the loss of packets later than "
 SHORT: Mapping[tuple[str, str], str] = {
     (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
     for link in ("sensor", "actuator")
-    for name in ("loss", "burst", "range", "energy", "battery", "delay", "buffer", "acknowledged", "payload")
+    for name in (
+        "loss",
+        "burst",
+        "range",
+        "energy",
+        "battery",
+        "delay",
+        "buffer",
+        "acknowledged",
+        "payload",
+        "acknowledgement_delay",
+    )
 }
 """The keys of the table [network], which states properties of the links between the usual nodes."""
 RESERVED = PLANT, SETPOINT  # links that are not those of nodes
@@ -551,7 +562,7 @@ class Network(Displayed):
 
         Losses that are only those of late packets have the name of the buffer in messages.
         """
-        late = {name: law for name, law in self.links.items() if law.delay is not None or law.buffer is not None}
+        late = {name: law for name, law in self.links.items() if law.timed}
         if not late:
             return self
         stated, links = dict(self.stated), {name: law.played() for name, law in late.items()}
@@ -571,6 +582,8 @@ class Network(Displayed):
     def lateness(self, link: str) -> str:
         """Return a clause about a link with random delays, or whose sender learns of a loss only after the delay."""
         law = self.links[link]
+        if law.delay is None and law.buffer is None and law.acknowledgement_delay:
+            return f"{self.key(link, 'acknowledgement_delay')} is 1, and packets may be lost"
         name = self.key(link, "delay" if law.buffer is None else "buffer")
         after = law.buffer or (None if law.delay is None else law.delay.constant)
         return f"{name} is random" if after is None else f"{name} is {after.text()}, and packets may be lost"
@@ -593,12 +606,12 @@ class Network(Displayed):
         A link with the losses of the other one, among them those of late packets, has its law of delay too. A link with
         other losses, as a design assumes that does not know them, has a buffer of the same delay.
         """
-        late = {name: law for name, law in other.links.items() if law.delay is not None or law.buffer is not None}
+        late = {name: law for name, law in other.links.items() if law.timed}
         laws, losses = dict[str, dict[str, Any]](), ("loss", "burst", "acknowledged")
         for name, law in ((name, law) for name, law in late.items() if name in self.links):
             played, mine = law.played(), self.links[name]
             alike = all(getattr(mine, key) == getattr(played, key) for key in losses)
-            kept = {key: getattr(law, key) for key in ("delay", "buffer", *losses)}
+            kept = {key: getattr(law, key) for key in ("delay", "buffer", "acknowledgement_delay", *losses)}
             laws[name] = kept if alike or not any(law.wait) else {"delay": None, "buffer": law.wait}
         return self.changed(laws) if laws else self
 

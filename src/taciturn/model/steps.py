@@ -51,7 +51,7 @@ class Acted(Displayed):
     """The condition "my packet of this age arrived in this step, before a piece of it ended".
 
     A sender can check it at the end of a step, if packets arrive after random delays and the receiver sends
-    acknowledgements with the time of arrival.
+    acknowledgements with the time of arrival. If these are one step late, it refers to arrivals in the step before.
     """
 
     link: str

@@ -299,6 +299,7 @@ class NetworkTable(Displayed):
     sensor_delay: Any = None
     actuator_buffer: Any = None
     sensor_buffer: Any = None
+    actuator_acknowledgement_delay: int = 0
     actuator_burst: dict[str, Any] | None = None
     sensor_burst: dict[str, Any] | None = None
     payload: str = "float64"

@@ -12,7 +12,8 @@ dropped (c becomes NEVER). A packet of age j keeps what its signals were when it
 
 The receiver acts when a packet arrives: an actuator that holds its input changes it at the beginning of a piece
 (``TimeStep.pieces``), and a node that works once per step hears a packet at its next step. A sender that receives
-time-stamped acknowledgements knows at the end of a step what arrived in which piece (``Acted``).
+time-stamped acknowledgements knows at the end of a step what arrived in which piece (``Acted``), or of a link with late
+acknowledgements, what arrived in the step before.
 
 A node that runs apart from the others has no ring: its inputs are the packets that have arrived, for each piece the
 newest one (``Heard``), so that its program selects the same values. Its inbox drops the older ones (``nodes.inbox``).
@@ -61,13 +62,17 @@ class _Step(Protocol):
 class Ring:
     """The packets on a link that were sent in this step or earlier, and are not yet heard."""
 
-    def __init__(self, tick: _Step, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool) -> None:
+    def __init__(
+        self, tick: _Step, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool, told_late: bool
+    ) -> None:
         """Begin a step. The law counts in periods; a ``clocked`` receiver hears a packet only once per step."""
         self.tick, self.link, self.law, self.pieces = tick, link, law, len(cuts)
         self.codes = codes_of(law, cuts, clocked)
         self.oldest = int(max(self.codes) // self.pieces)
         self.arrivals = {age: tick.recall(self._arrival(age))[0] for age in self.ages}  # by age; 0 when it is sent
         self.payload: dict[str, list[list[int]]] = {}
+        self._told_late = told_late  # whether an acknowledgement tells of the step before
+        self._told: dict[int, int] = {}  # arrivals of the step before, by age
 
     @property
     def ages(self) -> range:
@@ -118,6 +123,14 @@ class Ring:
             return False
         return self.tick.builder.less_equal(self.arrivals[age], float(piece))
 
+    def told(self, age: int, piece: int) -> Truth:
+        """Return whether an acknowledgement that comes in this step tells that the packet of an age has arrived."""
+        if not self._told_late or age > self.oldest:
+            return self.acted(age, piece)
+        if age not in self._told:
+            self._told[age] = self.tick.recall(told_of(self.link, age))[0]
+        return self.tick.builder.less_equal(self._told[age], float(piece))
+
     def assigned(self, sum_of: Callable[[Mapping[str, Values]], Values], silent: Values) -> list[Values]:
         """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise."""
         by_age = [sum_of({name: values[age] for name, values in self.payload.items()}) for age in (0, *self.ages)]
@@ -144,6 +157,8 @@ class Ring:
             return
         tick, b, newer = self.tick, self.tick.builder, False
         never, step = b.constant(NEVER), b.constant(-float(self.pieces))
+        for age in self._told:
+            tick.signals[told_of(self.link, age)] = [self.arrivals[age]]
         for age in range(self.oldest):
             newer = b.either(newer, self.acted(age, self.pieces - 1))
             code = self.arrivals[age]
@@ -208,7 +223,11 @@ def memories(policy: Policy, network: Network) -> tuple[dict[str, int], dict[str
             continue
         if law.sequence:
             sizes[place_of(step.link)], initial[place_of(step.link)] = 1, place_of(step.link)
-        for age in range(1, int(np.ceil(max(law.waits))) + 1):
+        oldest = int(np.ceil(max(law.waits)))
+        told = range(oldest + 1) if network.links[step.link].acknowledgement_delay else ()
+        sizes |= dict.fromkeys((told_of(step.link, age) for age in told), 1)
+        initial |= {told_of(step.link, age): np.array([NEVER]) for age in told}
+        for age in range(1, oldest + 1):
             sizes[arrival_of(step.link, age)], initial[arrival_of(step.link, age)] = 1, np.array([NEVER])
             sizes |= {stored(step.link, name, age): policy.sizes[name] for name in step.payload}
     return sizes, initial
@@ -217,6 +236,11 @@ def memories(policy: Policy, network: Network) -> tuple[dict[str, int], dict[str
 def arrival_of(link: str, age: int) -> str:
     """Return the name of the memory for the arrival of a packet that was sent ``age`` steps ago."""
     return f"arrival of the {link} packet of age {age}"
+
+
+def told_of(link: str, age: int) -> str:
+    """Return the name of the memory for the arrival of a packet of an age in the last step, for its acknowledgement."""
+    return f"told arrival of the {link} packet of age {age}"
 
 
 def stored(link: str, signal: str, age: int) -> str:

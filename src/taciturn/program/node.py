@@ -417,7 +417,8 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
             names += [flag_of(link, piece), *(replace(name, piece=piece) for name in payload)]
     for link in program.acknowledged:
         ages = program.ages.get(link, 0)
-        told = Arrival("acknowledgement", link, 1, len(names), min(ages, 1), 1, False)
+        behind = 1 + policy.network.links[link].acknowledgement_delay
+        told = Arrival("acknowledgement", link, behind, len(names), min(ages, 1), 1, False)
         arrivals.append(told._replace(pieces=program.pieces[link], ages=ages) if ages else told)
         names += [Arrived(link, age) for age in range(ages)] or [Acknowledged(link)]
     if policy.network.controller in program.site and REFERENCE in policy.measured:

@@ -155,7 +155,8 @@ class TimeStep:
                 self.losses[link] = self.loss_by(burst, link_state(link))
             law = network.random_delay(link, policy.tick)
             if law is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
-                self.late[link] = self.rings[link] = Ring(self, link, law, cuts, is_clocked(network, link))
+                told_late = network.links[link].acknowledgement_delay > 0
+                self.late[link] = self.rings[link] = Ring(self, link, law, cuts, is_clocked(network, link), told_late)
 
     def loss_by(self, law: LossLaw | float, name: str) -> Coefficient:
         """Return the loss probability in this step. A memory with the given name holds the state of a bursty law."""
@@ -264,7 +265,7 @@ class TimeStep:
             return self.outcomes[condition]
         link = condition.link
         if isinstance(condition, Acted):
-            return [self.builder.negated(self.rings[link].acted(condition.age, condition.piece))]
+            return [self.builder.negated(self.rings[link].told(condition.age, condition.piece))]
         if link not in self.arrived:  # before its Send, a condition refers to the packet of the previous step
             name = _arrival(link)
             self.memories[name] = self._remember(name, 1)

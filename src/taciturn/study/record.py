@@ -47,7 +47,14 @@ STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport")
 # neutral values that digests do not contain
-LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1, "missing": {}, "quantities": [], "stored": []}
+LATER: Mapping[str, object] = {
+    **dict.fromkeys(NONE),
+    "min_interval": 1,
+    "missing": {},
+    "quantities": [],
+    "stored": [],
+    "acknowledgement_delay": 0,
+}
 
 
 def encode(value: object) -> str:
@@ -82,7 +89,8 @@ def _short(network: Network) -> tuple[dict[str, object], list[object]]:
     laws = network.links.items()
     paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
     limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
-    late = {link: [law.delay, law.buffer] for link, law in laws if law.delay is not None or law.buffer is not None}
+    late = {link: [law.delay, law.buffer] for link, law in laws if law.timed}
+    late |= {link: [*late[link], law.acknowledgement_delay] for link, law in laws if law.acknowledgement_delay}
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
     for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
