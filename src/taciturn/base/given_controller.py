@@ -24,7 +24,8 @@ of all outputs and inputs count equally.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -487,25 +488,39 @@ UNSTABLE = "expected fewer steps between packets"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SameControl(Displayed):
-    """Function that computes the cost per step of one controller from the number of steps between its packets."""
+    """Function that computes the cost per step of one controller from the number of steps between its packets.
+
+    Over a link that drops packets, it is that of attempts to send.
+    """
 
     loop: GivenLoop  # the loop of the controller, which may depend on the step
     base: Base  # the loop that sends every sample, with the receiver's own value in silence
+    attempts: Attempts = EVERY_SAMPLE  # the losses of the link
+    held: Callable[[int], Base] | None = None  # LQG with other gains, for an interval of so many steps
 
     def __call__(self, steps: int) -> float:
         """Return the cost."""
-        found = [cost for cost in (self.at_its_step(steps), self.discretised(steps)) if cost is not None]
+        found = [self.at_its_step(steps), self.discretised(steps)]
+        if self.held is not None and steps > 1:
+            with suppress(UnstableError):  # such a hold may prevent stabilisation
+                found.append(self.at_its_step(steps, self.held(steps)))
+        found = [cost for cost in found if cost is not None]
         if not found:
             raise UnstableError(
                 f"the controller does not stabilise the plant if only one packet is sent in {steps} steps; {UNSTABLE}"
             )
         return min(found)
 
-    def at_its_step(self, steps: int) -> float | None:
+    def at_its_step(self, steps: int, base: Base | None = None) -> float | None:
         """Return the cost if the controller still computes at every step, between packets too; None for an unstable
         loop.
         """
-        return cost_of_one_packet(self.base, steps)
+        base = base or self.base
+        if not self.attempts.losses.any():
+            return cost_of_one_packet(base, steps)
+        with suppress(UnstableError):
+            return advantage(base, UNSTABLE, replace(self.attempts, pattern=(True, *[False] * (steps - 1)))).cost
+        return None
 
     def discretised(self, steps: int) -> float | None:
         """Return the cost if the controller is discretised with the longer interval; None if that is impossible."""
@@ -518,8 +533,9 @@ class SameControl(Displayed):
             moved = Plant(long.A, long.B, long.W, plant.C, plant.V, dt)
             slow = replace(problem, plant=moved, Q=long.Q, R=long.R, N=long.N, exact=None, deviations=None)
             controller = followed_by(self.loop.stated, kept, kept.at(dt, plant.inputs, plant.sensed))
-            base = actuator_base(slow, controller)
-            return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
+            base, turns = actuator_base(slow, controller), np.linalg.matrix_power(self.attempts.turns, steps)
+            attempts = replace(self.attempts, pattern=(True,), turns=turns)
+            return (advantage(base, UNSTABLE, attempts).cost + long.noise_cost) / steps
         except (ProblemError, UnstableError):  # such as a filter that is faster than these steps
             return None
 

@@ -463,40 +463,102 @@ def _closed_value(chain: Chain, remedy: str) -> tuple[Array, float]:
     hidden = _growth(whole, [len(kept)] * c, 2) if size < len(kept) else grows
     if not grows < 1 or hidden > 1 + _UNSEEN_GROWTH:
         raise _unstable(chain, max(grows, hidden), remedy)
+    step, value = _operator([(*jump, M) for jump, (_, _, M) in zip(jumps, shown[0][0], strict=True)], c, size, depth)
+    value = _summed(step, value)
+    if value is None:
+        raise _unstable(chain, grows, remedy)
+    P = np.zeros((len(chain.modes), len(kept), len(kept)))
+    for mode, half in zip(chain.closed, _matrices(value, c, size), strict=True):
+        P[mode] = kept @ half @ kept.T
+    return P, grows
+
+
+def periodic_cost(chain: Chain, every: int) -> float | None:
+    """Compute the cost per step if a packet is sent at every q-th step only; None if it is not finite.
+
+    One cycle is X^send(X^silent(… X^silent(P))), a linear map of the values of all modes.
+    """
+    modes, silent = len(chain.modes), (False,) * chain.delays.receivers
+    both = [[(i, one) for i in range(modes) for one in chain.outcomes[sent][i]] for sent in (chain.every, silent)]
+    taken = [one for listed in both for one in listed]
+    shown, kept = without_hidden([[[(one.chance, one.F, one.M) for _, one in taken]]])
+    size, small = kept.shape[1], iter(shown[0][0])
+    operators, turns = list[tuple[Array, Array]](), list[Array]()
+    for listed in both:
+        jumps = [(i, one.after, *next(small)) for i, one in listed]
+        operators.append(_operator(jumps, modes, size, chain.delays.depth))
+        T = np.zeros((modes, modes))
+        for i, one in listed:
+            T[i, one.after] += one.chance
+        turns.append(T)
+    send, wait = operators
+    step, value = send
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(every - 1):  # X^send after k silent steps is step·P + value
+            check_time()
+            step, value = step @ wait[0], value + step @ wait[1]
+        found = _summed(step, value) if np.isfinite(step).all() and np.isfinite(value).all() else None
+    if found is None:
+        return None
+    noise = chain.plant.noise
+    shares = stationary(turns[0] @ np.linalg.matrix_power(turns[1], every - 1))
+    total, values = 0.0, found  # of the modes after each step, the last one first
+    for k in range(every):
+        at = shares if k == 0 else shares @ turns[0] @ np.linalg.matrix_power(turns[1], every - 1 - k)
+        P = [kept @ half @ kept.T for half in _matrices(values, modes, size)]
+        entered = [float(np.sum(one[: len(noise), : len(noise)] * noise)) for one in P]
+        total += float(at @ entered)
+        values = wait[0] @ values + wait[1]
+    return total / every + chain.plant.unseen
+
+
+def _operator(
+    jumps: Sequence[tuple[int, int, float, Array, Array]], modes: int, size: int, depth: int
+) -> tuple[Array, Array]:
+    """Return the map P_I → Σ p (M + F'P_J F) over jumps (I, J, p, F, M): a matrix and a vector of upper triangles."""
     rows, columns = np.triu_indices(size)
     d = len(rows)
-    if c * d > MOST_UNKNOWNS:
+    if modes * d > MOST_UNKNOWNS:
         raise ProblemError(
             f"the plant, the controller and the packets of up to {number_of(depth, 'period')} have "
-            f"{number_of(len(kept), 'state')} together, in {number_of(c, 'mode')}, too many to compute the cost-to-go "
+            f"{number_of(size, 'state')} together, in {number_of(modes, 'mode')}, too many to compute the cost-to-go "
             f"with {MOST_UNKNOWNS} unknowns; expected fewer states of the plant or the link, or delays of fewer periods"
         )
-    step, value = np.zeros((c * d, c * d)), np.zeros(c * d)
-    for (i, j, p, F), (_, _, M) in zip(jumps, shown[0][0], strict=True):
+    step, value = np.zeros((modes * d, modes * d)), np.zeros(modes * d)
+    for i, j, p, F, M in jumps:
         one, other = (
             F[np.ix_(rows, rows)] * F[np.ix_(columns, columns)],
             F[np.ix_(columns, rows)] * F[np.ix_(rows, columns)],
         )
         step[i * d : (i + 1) * d, j * d : (j + 1) * d] += p * (one + np.where(rows == columns, 0.0, other.T).T).T
         value[i * d : (i + 1) * d] += p * M[rows, columns]
+    return step, value
+
+
+def _summed(step: Array, value: Array) -> Array | None:
+    """Return the least solution of P = step P + value, by doubling the horizon; None if it is not finite."""
     for _ in range(DOUBLINGS):
         check_time()
         added = step @ value
         value = value + added
         largest = float(np.abs(value).max(initial=0.0))
         if not largest <= LARGEST:
-            raise _unstable(chain, grows, remedy)
+            return None
         if np.abs(added).max(initial=0.0) <= CONVERGED * largest:
-            break
+            return value
         step = step @ step
-    else:
-        raise _unstable(chain, grows, remedy)
-    P = np.zeros((len(chain.modes), len(kept), len(kept)))
-    for i, mode in enumerate(chain.closed):
+    return None
+
+
+def _matrices(value: Array, modes: int, size: int) -> list[Array]:
+    """Return the symmetric matrices of which a vector has the upper triangles."""
+    rows, columns = np.triu_indices(size)
+    found = list[Array]()
+    for part in np.split(value, modes):
         half = np.zeros((size, size))
-        half[rows, columns] = value[i * d : (i + 1) * d]
-        P[mode] = kept @ (half + np.triu(half, 1).T) @ kept.T
-    return P, grows
+        half[rows, columns] = part
+        found.append(half + np.triu(half, 1).T)
+    return found
 
 
 def _unstable(chain: Chain, grows: float, remedy: str) -> UnstableError:

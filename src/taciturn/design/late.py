@@ -19,10 +19,7 @@ mean of the rates, weighted by the prices.
 If acknowledgements come one step late, the controller weighs all histories of the step before (``Histories``). Such a
 controller cannot be LQG, whose estimate depends on the inputs that acted.
 
-The command is that of a given controller, or LQG with the gains for a constant delay, by default the mean delay of the
-packets that arrive. With d whole periods and a part of one, these gains are those of the plant with registers for the
-last commands (``lqg/registers``). A command that is still to act is in a packet that may be in flight or lost, so the
-registers take the last commands that were sent, and the oldest one the input that acts.
+The command is that of a given controller, or LQG with the gains for a constant delay (``design/late_base``).
 
 Source: nilsson1998, antunes2014rollout
 """
@@ -31,39 +28,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._text import number_of
 from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND, estimate_state, outputs_of
-from taciturn.base.given_controller import GivenLoop, lqg_observer
-from taciturn.base.late import Delays, LateValue, chain_of, fourth_growth, late_value
+from taciturn.base.given_controller import GivenLoop
+from taciturn.base.late import LateValue, fourth_growth
 from taciturn.base.nominal import Nominal
-from taciturn.base.periods import periods_of, with_controller, with_filter
 from taciturn.base.route import MEASURED, NEXT, REGISTER, nonempty
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.kind import check_place
+from taciturn.design.late_base import LateBase, PeriodicPackets, Receiver, Receivers
 from taciturn.design.late_belief import Histories, LateBelief, Way
 from taciturn.design.several_nodes import (
     COMMAND,
     WEIGHTED_RATE,
-    actuators_of,
-    decides_on_sets,
-    expect_few_links,
     label,
-    sets_of,
-    shares_of_prices,
 )
-from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.registers import Pieces, registers_of
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.registers import Pieces
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, LATE
-from taciturn.model.delay import LONGEST, WHOLE, DelayLaw, Transport, Wait
+from taciturn.model.delay import WHOLE
 from taciturn.model.losses import stationary
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -92,14 +82,6 @@ LAST, COSTS = "last command", "costs of silence"
 MOST_HISTORIES = 256  # of a step that is not acknowledged yet
 LEAST_NOISE = 1e-12  # share of an output's error in all of them, below which it counts as none
 MOST_FORMS = 1024  # of the cost of silence, one for each set of links and each mode
-OTHER_GAINS = "gains for another delay (design_delay)"
-
-
-def informed(network: Network) -> bool:
-    """Return whether acknowledgements tell when packets arrived that are late or, on several links, may be lost."""
-    links = [node for node in network.actuators if node in network.links]
-    some = network.late if not decides_on_sets(network) else links
-    return any(link in some and network.acknowledges(link) for link in links)
 
 
 def late_excess(
@@ -128,33 +110,17 @@ def late_excess(
             f"design_delay is {design_delay:g}, and a controller is given; expected no design_delay: the controller "
             "states its own gains"
         )
-    plant = with_transport(plant, None)
-    if kept is None:
-        problem = discretise(plant, cost, period)
-        loop = GivenLoop.of(plant, cost, period, lqg_observer(kind, problem), True)
-    else:
-        loop = GivenLoop.of(plant, cost, period, kept)
-    problem, tick = loop.problem, loop.problem.tick
-    nodes = Receivers.of(kind, network, problem.plant, tick)
-    cuts = network.cuts(tick)
-    source = problem.source
-    assert source is not None, "a sampled problem knows its plant"
-    pieces = discretise(source, problem.cost, tick if problem.sampled else None, None, cuts).pieces if cuts else None
-    steady, delays = problem.filter(), Delays.together([one.delays for one in nodes.all])
-    whole = periods_of(problem, pieces)
-    if kept is None:
-        K = _gain(plant, cost, period, nodes, delays.depth, design_delay)
-        base, state = with_filter(whole, steady), (ESTIMATE,)
-    else:
-        base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
-        state = (ESTIMATE, MEASURED, *((REGISTER,) if len(loop.controller.A) else ()))
-    if nodes.told_late:
-        _expect_uninformed(nodes, loop if kept is not None else None, len(delays.turns))
-    rows = [tuple(one.rows) for one in nodes.all]
-    found = late_value(chain_of(base, K, delays, rows), loop.remedy if kept is not None else OTHER_GAINS)
+    base = LateBase(kind, with_transport(plant, None), cost, period, kept, network, design_delay)
+    try:
+        closed = base.closed()
+    except UnstableError as error:
+        raise UnstableError(f"{error}{base.sooner()}") from None
+    loop, found, nodes, problem = closed.loop, closed.found, closed.nodes, closed.loop.problem
     J = found.cost - problem.noise_cost
     price, fourth = price_at(J), fourth_growth(found)
-    made = _LateSteps(problem, loop if kept is not None else None, found, pieces, state, K, price, nodes)
+    made = _LateSteps(
+        problem, loop if kept is not None else None, found, closed.pieces, closed.state, closed.K, price, nodes
+    )
     steps, initial = made.steps()
     bound = bound_by_attempts(problem, J, price, 1, True, kept is None) if fourth < 1 else None
     if bound is not None and len(nodes.links) > 1:
@@ -167,174 +133,14 @@ def late_excess(
         covers=GAUSSIAN_THEORY | LATE | BURSTS,
         functions=frozenset({BELIEF, COSTS}),
         fourth=fourth,
+        periodic=PeriodicPackets(base, closed) if len(nodes.links) == 1 else None,
     )
-    settling = max(1 / (1 - found.growth), 1 / (1 - steady.slowest))
+    settling = max(1 / (1 - found.growth), 1 / (1 - problem.filter().slowest))
     nominal = Nominal(problem, J, settling, disturbance=loop.disturbance)
     begun = loop.point.begun(steps, initial, {one.node: one.rows for one in nodes.all})
     sites = network.sites if network.own_nodes else COLLOCATED
     policy = nominal.policy(kind, steps, begun, claims, sites=sites, network=network)
     return replace(policy, notes=(*policy.notes, *loop.notes))
-
-
-def _expect_uninformed(nodes: Receivers, given: GivenLoop | None, states: int) -> None:
-    """Raise an error if the control needs to know which inputs act, or which state a link has, before it is told."""
-    refused = {
-        "and LQG predicts with the inputs that act, which it is not told in time; expected a given controller without "
-        "controller.E": given is None,
-        "and the controller reads the applied input (controller.E), which it is not told in time; expected E = 0": (
-            given is not None and bool(given.controller.E.any())
-        ),
-        "and the state of a link with bursts is unknown; expected independent losses and delays": states > 1,
-    }
-    for got in (got for got, holds in refused.items() if holds):
-        raise ProblemError(f"{nodes.late_by_one} is 1, {got}, or acknowledgements before the next step")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Receiver(Displayed):
-    """An actuator that receives its inputs over a link, or that is at the controller's site."""
-
-    node: str
-    signal: str  # the inputs that it applies
-    rows: list[int]  # their indices among the inputs of the plant
-    linked: bool
-    law: DelayLaw | None  # of its link, in periods; None: a packet that arrives does so at once
-    delays: Delays  # the same with the losses of the link
-
-    @property
-    def sure(self) -> bool:
-        """Whether every packet arrives at once."""
-        return self.delays.fates == (((0, 0.0),),)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Receivers(Displayed):
-    """The actuators of a loop, and the sets of links on which the controller may send."""
-
-    network: Network
-    all: tuple[Receiver, ...]
-
-    @staticmethod
-    def of(kind: str, network: Network, plant: Plant, period: float) -> Receivers:
-        """Return the actuators of a network, and check that the controller is informed of the fate of all packets."""
-        found = list[Receiver]()
-        for node, (signal, rows) in actuators_of(network, plant).items():
-            linked = node in network.links
-            if linked and not network.links[node].ideal and not network.acknowledges(node):
-                raise ProblemError(
-                    f"{network.key(node, 'acknowledged')} is false, and packets to other actuators are acknowledged; "
-                    "expected acknowledgements on all links to actuators, or ideal links"
-                )
-            law = network.random_delay(node, period) if linked else None
-            law_and_losses = _delays(law, network, node) if linked else Delays.of([0.0], [1.0])
-            found.append(Receiver(node, signal, rows, linked, law, law_and_losses))
-        nodes = Receivers(network, tuple(found))
-        expect_few_links(kind, nodes.links)
-        unsure = [network.links[one.node] for one in found if one.linked and not one.sure]
-        if nodes.told_late and not all(law.acknowledgement_delay for law in unsure):
-            raise ProblemError(
-                f"{nodes.late_by_one} is 1, and acknowledgements on another link come at once; expected the same "
-                "acknowledgement_delay on all links that delay or drop packets"
-            )
-        for node in network.sensors if network.own_nodes else ():
-            check_place(kind, network, "sensor", node, True)
-        return nodes
-
-    @property
-    def told_late(self) -> bool:
-        """Whether acknowledgements come one step late."""
-        links = [self.network.links[one.node] for one in self.all if one.linked and not one.sure]
-        return any(law.acknowledgement_delay for law in links)
-
-    @property
-    def late_by_one(self) -> str:
-        """The key of problem files that states that acknowledgements come one step late."""
-        return next(
-            self.network.key(one.node, "acknowledgement_delay")
-            for one in self.all
-            if one.linked and self.network.links[one.node].acknowledgement_delay
-        )
-
-    @cached_property
-    def links(self) -> tuple[str, ...]:
-        """Names of the links, which are those of the actuators that have one."""
-        return tuple(one.node for one in self.all if one.linked)
-
-    @cached_property
-    def weights(self) -> Mapping[str, float]:
-        """Price of a packet on each link, divided by the sum of these prices over all links."""
-        return shares_of_prices(self.network, self.links)
-
-    @cached_property
-    def sets(self) -> tuple[tuple[str, ...], ...]:
-        """All sets of links that may send, the cheapest first; the last one contains all."""
-        return sets_of(self.links, self.weights)
-
-    def label(self, sent: Sequence[str]) -> str:
-        """Return the label of the decision to send on a set of links."""
-        return SEND if len(self.all) == 1 and sent else label(sent)
-
-    def sent(self, links: Sequence[str]) -> tuple[bool, ...]:
-        """Return for each actuator whether it gets a new input if a set of links sends."""
-        return tuple(not one.linked or one.node in links for one in self.all)
-
-    def chosen(self, sent: Sequence[bool]) -> Array:
-        """Return the diagonal matrix, (m, m), that selects the inputs of some actuators."""
-        rows = [row for one, goes in zip(self.all, sent, strict=True) for row in one.rows if goes]
-        return np.diag(np.isin(np.arange(sum(len(one.rows) for one in self.all)), rows).astype(np.float64))
-
-    def named(self, name: str, node: str) -> str:
-        """Return the name of a signal that belongs to an actuator; with a single one it needs no further name."""
-        return name if len(self.all) == 1 else f"{name} to {node}"
-
-
-def _delays(law: DelayLaw | None, network: Network, link: str) -> Delays:
-    """Return the law of the delays of packets, and of their losses, by the state of the link."""
-    if law is not None and law.sequence:
-        raise ProblemError(
-            f"{network.key(link, 'delay')} is a trace, whose delays follow each other in an order that no theory here "
-            "covers; expected a histogram, a list of delays, a buffer, or acknowledged = false (then the loop is "
-            "simulated without a claim)"
-        )
-    turns, losses = network.chain(link)
-    waits, rows = ((0.0,), ((1.0,),) * len(losses)) if law is None else (law.waits, law.of_states(len(losses)).odds)
-    odds = np.array(rows) * (1.0 - losses[:, None])
-    return Delays.of(waits, odds if len(losses) > 1 else odds[0], 1.0, turns if len(losses) > 1 else None)
-
-
-def _gain(
-    plant: Plant | ContinuousPlant,
-    cost: Cost,
-    period: float | None,
-    nodes: Receivers,
-    depth: int,
-    given: float | None,
-) -> Array:
-    """Return the gain on z of LQG for constant delays: that which is given, or for each link the mean of its own."""
-    step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
-    n, m, waits = plant.states, plant.inputs, [Wait()] * plant.inputs
-    if given is not None:
-        given = number("design_delay", given, 0.0, LONGEST * step, closed=True)
-    for one in (one for one in nodes.all if one.law is not None):
-        assert one.law is not None
-        if given is not None:
-            periods = given / step
-        else:  # the mean of the odds may round to beyond the delays
-            periods = float(np.clip(one.law.mean, one.law.waits[0], one.law.waits[-1]))
-        for row in one.rows:
-            waits[row] = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
-    late = with_transport(plant, Transport.of(waits, [Wait()] * len(plant.C)))
-    L = discretise(late, cost, period).regulator().L
-    K = np.zeros((m, n + m * (depth + 1)))
-    K[:, :n] = L[:, :n]
-    if late.transport is None:
-        return K
-    held = registers_of(late, step)
-    for column, (i, age) in enumerate(zip(held.inputs, held.ages, strict=True), start=n):
-        # the oldest command is the input that acts, unless it still is in a packet
-        place = n + depth * m if age > depth or held.late[i] == 0 else n + (age - 1) * m
-        K[:, place + i] += L[:, column]
-    return K
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -427,7 +233,8 @@ class _LateSteps(Displayed):
             rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2] if age > 1 else LAST: unit}))
         rest += [self._by_set(LAST, unit, COMMAND), *self._tried()]
         begun = plant.mean - plant.B @ given.point.before
-        initial: dict[str, Array] = {ESTIMATE: np.linalg.lstsq(plant.A, begun, rcond=None)[0]}
+        first: Array = np.asarray(np.linalg.lstsq(plant.A, begun, rcond=None)[0], dtype=np.float64)
+        initial: dict[str, Array] = {ESTIMATE: first}
         if given.point.before.any():
             initial |= dict.fromkeys((*self.sent, LAST), given.point.before)
         if has_state:

@@ -55,7 +55,7 @@ from taciturn.base.filter import (
     estimate_state,
 )
 from taciturn.base.gains import price_control
-from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base
+from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base, lqg_observer
 from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import CANDIDATE, MEASURED, REGISTER, GivenRoute, nonempty, route_over
@@ -103,7 +103,7 @@ def send_for_given(
     lqg: Controller | None = None,
 ) -> Policy:
     """Return the policy of a given controller that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements."""
-    loop = GivenLoop.of(plant, cost, period, kept, lqg is not None)
+    stated, loop = plant, GivenLoop.of(plant, cost, period, kept, lqg is not None)
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
@@ -150,6 +150,15 @@ def send_for_given(
         base = all_time = base if proved is None else proved.value
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
+
+    def for_interval(steps: int) -> Base:
+        observer = lqg_observer(kind, discretise(stated, cost, period), steps, zero=actuation == "zero")
+        other = GivenLoop.of(stated, cost, period, observer, True)
+        known = other.problem.filter() if copied else None
+        return route_over(link, other.problem, other.controller, actuation, lossy, known, start).base
+
+    # without losses, fair periodic control has the best gains of any cycle
+    held = for_interval if lossy and lqg is not None and actuation != "model" else None
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit, slopes)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
@@ -190,7 +199,7 @@ def send_for_given(
         covers=GAUSSIAN_THEORY | BURSTS if lossy else GAUSSIAN_THEORY,
         functions=frozenset({BELIEF, BEYOND, COST}),
         fourth=found.fourth,
-        periodic=SameControl(loop, alone.base) if average and not lossy else None,
+        periodic=SameControl(loop, route.base if lossy else alone.base, attempts, held) if average else None,
         every=every,
     )
     nominal = loop.nominal(

@@ -166,6 +166,21 @@ class DelayLaw(Displayed):
         """The mean delay of the packets that arrive, as a constant delay: seconds, or the nearest number of steps."""
         return Wait(0, self.mean) if self.in_seconds else Wait(round(self.mean))
 
+    def later(self, by: float) -> DelayLaw:
+        """Return the law of packets that take longer, by steps or seconds; if ``by`` is negative, no less than 0."""
+        return self._with(np.maximum(np.array(self.waits) + by, 0.0))
+
+    def _with(self, waits: Array) -> DelayLaw:
+        """Return the law with other delays, one for each; those that are equal become one."""
+        found, places = np.unique(waits.round(12), return_inverse=True)
+        odds = np.zeros((len(self.odds), len(found)))
+        for column, place in enumerate(places.ravel().tolist()):
+            odds[:, place] += np.array(self.odds)[:, column]
+        renamed = [*places.ravel().tolist(), len(found)]
+        rows = tuple(tuple(row) for row in odds.tolist())
+        sequence = tuple(renamed[one] for one in self.sequence)
+        return replace(self, waits=tuple(found.tolist()), odds=rows, sequence=sequence)
+
     def in_periods(self, period: float) -> DelayLaw:
         """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
         waits = np.array(self.waits) / (period if self.in_seconds else 1.0)
@@ -174,16 +189,7 @@ class DelayLaw(Displayed):
         parts = waits - np.floor(waits)
         if len(np.unique(parts.round(9))) > MOST_PIECES:
             waits = np.floor(waits) + np.round(parts * MOST_PIECES) / MOST_PIECES
-        found, places = np.unique(waits.round(12), return_inverse=True)
-        odds = np.zeros((len(self.odds), len(found)))
-        for column, place in enumerate(places.ravel().tolist()):
-            odds[:, place] += np.array(self.odds)[:, column]
-        renamed = [*places.ravel().tolist(), len(found)]
-        rows = tuple(tuple(row) for row in odds.tolist())
-        return replace(
-            self, waits=tuple(found.tolist()), odds=rows, in_seconds=False,
-            sequence=tuple(renamed[one] for one in self.sequence),
-        )  # fmt: skip
+        return replace(self._with(waits), in_seconds=False)
 
     def text(self, shares: Sequence[float] = ()) -> str:
         """Describe the law in a few words, for the shares of the states of the link; default: equal ones."""

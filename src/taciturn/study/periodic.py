@@ -159,12 +159,18 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the horizon is finite or the cost is discounted, but periodic control is computed for average costs only"
         )
-    if any(problem.network.loss(link) for link in problem.network.links):
+    lossy = any(problem.network.loss(link) for link in problem.network.links)
+    told = nodes.theory.periodic is not None and all(map(problem.network.acknowledges, nodes.scheduled))
+    if lossy and not told:
         raise NoClockError(
-            "the links drop packets, but periodic control is computed for links that deliver every packet"
+            "the links drop packets, but periodic control is computed for links that deliver every packet, or "
+            "acknowledge those that arrive"
         )
-    if problem.network.late:
-        raise NoClockError("packets are delayed at random, but periodic control is computed for constant delays")
+    if problem.network.late and not told:
+        raise NoClockError(
+            "packets are delayed at random, but periodic control is computed for constant delays, or for "
+            "acknowledgements with the times of arrival"
+        )
     if problem.network.missing:
         raise NoClockError(f"{OF_A_DESIGN} samples are missing at random")
     if len(nodes.scheduled) > 1:
@@ -177,7 +183,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
             "the set-points change at known times, and the cost of periodic control is computed only if they are "
             "constant or change at random times"
         )
-    if nodes.theory.periodic is not None and problem.controller is not None:
+    varies = lossy or bool(problem.network.late)
+    if nodes.theory.periodic is not None and (problem.controller is not None or varies):
         loop = problem.close(nodes)
         if not loop.nominal:
             raise NoClockError(f"{OF_A_DESIGN} {loop.violated_assumptions[0]}")

@@ -31,7 +31,8 @@ from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.route import CANDIDATE, Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.design.late import informed, late_excess
+from taciturn.design.late import late_excess
+from taciturn.design.late_base import informed
 from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
