@@ -37,6 +37,7 @@ from taciturn_certify.certify import certify as certify
 from taciturn_channel.share import share_channel as share_channel
 from taciturn_control.systems import from_control as from_control
 from taciturn_control.systems import to_control as to_control
+from taciturn_delays.critical import critical_delay as critical_delay
 from taciturn_delays.delays import read_delays as read_delays
 from taciturn_explore.notebook import explore as explore
 from taciturn_export.export import export_c as export_c
