@@ -110,7 +110,7 @@ def late_packets(loop: Loop, seed: int = 0) -> dict[str, LatePackets]:
     steps = STEPS if horizon is None else horizon
     outputs = prepare(program)(loop.start(program, PATHS, seed), steps, None).outputs
     first = 0 if horizon is not None else steps // 2
-    return {link: of_records(loop, link, outputs[Sent(link)], outputs[Arrived(link, 0)], first) for link in links}
+    return {link: of_records(loop, link, outputs[Sent(link)] > 0.0, outputs[Arrived(link, 0)], first) for link in links}
 
 
 def late_links(loop: Loop) -> list[str]:
@@ -119,13 +119,14 @@ def late_links(loop: Loop) -> list[str]:
     return [link for link in loop.network.late if link in sending]
 
 
-def of_records(loop: Loop, link: str, sent: Array, codes: Array, first: int = 0) -> LatePackets:
+def of_records(loop: Loop, link: str, sent: Bits, codes: Array, first: int = 0) -> LatePackets:
     """Return the numbers of a link, from the records of the packets of each step and path, (steps, paths)."""
     dt = loop.problem.plant.dt
     law = loop.network.random_delay(link, loop.policy.tick)
     assert law is not None, "a late link has a law of delay"
     last = len(sent) if sent.shape[1] == 1 else max(len(sent) - int(np.ceil(max(law.waits))), first + 1)
-    return count_packets(sent > 0.0, codes, cuts_of(loop), range(first, last), dt or 1.0, "steps" if dt is None else "s")
+    unit = "steps" if dt is None else "s"
+    return count_packets(sent, codes, cuts_of(loop), range(first, last), dt or 1.0, unit)
 
 
 def cuts_of(loop: Loop) -> tuple[float, ...]:
@@ -172,16 +173,17 @@ def fates_of(sent: Bits, codes: Array, pieces: int) -> Fates:
     """Return what becomes of packets with the given delays in pieces of a period."""
     steps, paths = sent.shape
     never = steps * pieces
-    comes = sent & (codes < NEVER / 2)
-    at = np.where(comes, np.arange(steps)[:, None] * pieces + np.where(comes, codes, 0.0), never).astype(np.int64)
-    at = np.minimum(at, never)
+    comes: Bits = np.logical_and(sent, codes < NEVER / 2)
+    came: Array = np.where(comes, np.arange(steps)[:, None] * pieces + codes, float(never))
+    at = np.minimum(came, never).astype(np.int64)
     newest = np.full((never + 1, paths), -1, dtype=np.int64)
     for k in range(steps):
         newest[at[k], np.arange(paths)] = k  # a later packet replaces an earlier one that arrives in the same piece
     newest = np.maximum.accumulate(newest[:-1], axis=0)
     there = at < never
     after = np.take_along_axis(newest, np.minimum(at, never - 1), axis=0)
-    return Fates(there, sent & ~comes, there & (after > np.arange(steps)[:, None]), newest)
+    overtaken: Bits = np.logical_and(there, after > np.arange(steps)[:, None])
+    return Fates(there, sent & ~comes, overtaken, newest)
 
 
 def _share(events: Bits, of: Array) -> Estimate:

@@ -183,7 +183,7 @@ class Trajectory(Tabular):
     def _registers(self) -> dict[int, str]:
         """Return what registers hold, by the number of the state from 0."""
         problem, source = self.loop.problem, self.loop.problem.source
-        if source is None:
+        if source is None or not problem.registers.any():
             return {}
         names = self.loop.names or Names()
         held = registers_of(source, problem.tick).names(
@@ -217,10 +217,10 @@ class Trajectory(Tabular):
         total = sum(counts.values())
         share = "" if not counts else f", {percent(total / (steps * len(counts)), 1)} of the packets"
         each = f": {', '.join(f'{link} {self.packets(link)}' for link in counts)}" if len(counts) > 1 else ""
-        dropped = sum(int((sent & ~self.delivered[link]).sum()) for link, sent in self.sends.items())
-        lost = (
-            f", of which {dropped} {'was' if dropped == 1 else 'were'} dropped" if dropped and len(counts) == 1 else ""
-        )
+        gone = {"dropped": sum(int((sent & ~self.delivered[link]).sum()) for link, sent in self.sends.items())}
+        gone["overtaken"] = sum(int(overtaken.sum()) for overtaken in self.overtaken.values())
+        told = " and ".join(f"{n} {'was' if n == 1 else 'were'} {what}" for what, n in gone.items() if n)
+        lost = f", of which {told}" if told and len(counts) == 1 else ""
         own = f"{number_of(total, 'packet')} in {number_of(steps, 'step')}{lasted}{share}{lost}{each}"
         if self.versus is None:
             return (own,)
