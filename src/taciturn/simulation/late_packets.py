@@ -174,15 +174,16 @@ def fates_of(sent: Bits, codes: Array, pieces: int) -> Fates:
     steps, paths = sent.shape
     never = steps * pieces
     comes: Bits = np.logical_and(sent, codes < NEVER / 2)
-    came: Array = np.where(comes, np.arange(steps)[:, None] * pieces + codes, float(never))
+    k: Array = np.arange(steps, dtype=np.float64)[:, None]
+    came: Array = np.where(comes, k * pieces + codes, float(never))
     at = np.minimum(came, never).astype(np.int64)
     newest = np.full((never + 1, paths), -1, dtype=np.int64)
-    for k in range(steps):
-        newest[at[k], np.arange(paths)] = k  # a later packet replaces an earlier one that arrives in the same piece
+    for step, here in enumerate(at):
+        newest[here, np.arange(paths)] = step  # a later packet replaces an earlier one that arrives in the same piece
     newest = np.maximum.accumulate(newest[:-1], axis=0)
     there = at < never
     after = np.take_along_axis(newest, np.minimum(at, never - 1), axis=0)
-    overtaken: Bits = np.logical_and(there, after > np.arange(steps)[:, None])
+    overtaken: Bits = np.logical_and(there, after > k)
     return Fates(there, sent & ~comes, overtaken, newest)
 
 
