@@ -21,7 +21,7 @@ Source: nilsson1998, antunes2014rollout
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -106,7 +106,7 @@ def late_excess(
             "states its own gains"
         )
     if kept is None:
-        K = _gain(plant, cost, period, law, delays.depth, design_delay)
+        K = _gain(plant, cost, period, law, network.links[LINK].states, delays.depth, design_delay)
         base, state = with_filter(whole, steady), (ESTIMATE,)
     else:
         base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
@@ -143,15 +143,24 @@ def _delays(law: DelayLaw, network: Network) -> Delays:
 
 
 def _gain(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, law: DelayLaw, depth: int, given: float | None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    law: DelayLaw,
+    shares: Sequence[float],
+    depth: int,
+    given: float | None,
 ) -> Array:
-    """Return the gain on z of LQG for a constant delay: that which is given, or the mean of those that arrive."""
+    """Return the gain on z of LQG for a constant delay: that which is given, or the mean of those that arrive.
+
+    The mean is that for the shares of the states of the link.
+    """
     step = 1.0 if isinstance(plant, Plant) else float(period or 1.0)
     if given is not None:
         given = number("design_delay", given, 0.0, LONGEST * step, closed=True)
         periods = given / step
     else:  # the mean of the odds may round to beyond the delays
-        periods = float(np.clip(law.mean, law.waits[0], law.waits[-1]))
+        periods = float(np.clip(law.mean_by(shares), law.waits[0], law.waits[-1]))
     wait = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
     late = with_transport(plant, Transport.of([wait] * plant.inputs, [Wait()] * len(plant.C)))
     L, n, m = discretise(late, cost, period).regulator().L, plant.states, plant.inputs
