@@ -300,7 +300,7 @@ def compare(
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
     tables = plain.in_plain_form(tables)
-    late = random_inputs(tables)
+    late = random_inputs(tables, folder)
     given = tables if late is None else with_delay(tables, late, late.mean)
     model = resolved(given, plain.model_of(given, folder), folder)
     policy, twin = policy_of(given, model, found.cost_all_time)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from everything.laws import nodes_of
+from everything.laws import Channel, Law, nodes_of
 from everything.plain import (
     Answer,
     Array,
@@ -46,21 +46,23 @@ class RandomInputs:
     Args:
         link: its name.
         waits: the possible delays in steps.
-        odds: their probabilities, with the sum 1.
+        odds: their probabilities in each state of the link; the rest is lost.
+        law: the losses of the link.
         mean: the constant delay that the nodes assume, as files state it.
     """
 
     link: str
     waits: tuple[float, ...]
-    odds: tuple[float, ...]
+    odds: Array
+    law: Law
     mean: object
 
 
-def random_inputs(tables: Tables) -> RandomInputs | None:
+def random_inputs(tables: Tables, folder: Path) -> RandomInputs | None:
     """Return the random delays of a file, or None if it has none.
 
     Raises:
-        NotModelledError: they are acknowledged and used, packets are lost, or other links are late too.
+        NotModelledError: decisions know of them or of losses, they are from a trace, or other links are late too.
     """
     found = {name: law for name, law in _delays(tables).items() if _drawn(law)}
     if not found:
@@ -71,24 +73,32 @@ def random_inputs(tables: Tables) -> RandomInputs | None:
     ((link, law),) = found.items()
     if set(nodes.actuators) != {link}:
         raise NotModelledError("random delays of sensors, or of one of several actuators")
-    told = tables.get("network", {}).get("protocol") == "tcp" or tables.get("links", {}).get(link, {}).get(
-        "acknowledged"
-    )
-    if told and tables["policy"]["kind"] == "excess":
+    network, kind, own = tables.get("network", {}), tables["policy"]["kind"], nodes.laws[link]
+    told = network.get("protocol") == "tcp" or tables.get("links", {}).get(link, {}).get("acknowledged")
+    if told and kind == "excess":
         raise NotModelledError("random delays that are acknowledged")
-    if nodes.laws[link].lossy or "states" in law or "trace" in law or "histogram" in law:
-        raise NotModelledError("random delays with losses, bursts or from files")
-    chances = law if isinstance(law, list) else law["probability"]
-    if sum(chances) < 1 - 1e-9:
-        raise NotModelledError("random delays with losses, bursts or from files")
+    h = tables["policy"]["period"] if "dt" not in plant else plant["dt"]
+    listed = law.get("states", [law]) if isinstance(law, Mapping) else [law]
+    times = sorted({time for one in listed for time in _law(one, h, folder)})
+    odds = np.array([[_law(one, h, folder).get(time, 0.0) for time in times] for one in listed])
+    if (own.lossy or odds.sum() < len(odds) - 1e-9) and kind not in ("all-time", "periodic"):
+        raise NotModelledError("random delays with losses for decisions that know of them")
+    shares = own.stationary @ odds if len(odds) > 1 else odds[0]
+    mean = float(np.dot(times, shares) / shares.sum())
+    steps = isinstance(listed[0], list)
+    return RandomInputs(link, tuple(times), odds, own, round(mean) if steps else {"seconds": mean * h})
+
+
+def _law(law: Any, h: float, folder: Path) -> dict[float, float]:
+    """Return the probability of each delay, in steps of h seconds."""
     if isinstance(law, list):
-        waits = [float(i) for i in range(len(law))]
-        mean: object = round(float(np.dot(waits, chances)))
-    else:
-        h = tables["policy"]["period"] if "dt" not in plant else plant["dt"]
-        mean = {"seconds": float(np.dot(law["seconds"], chances))}
-        waits = [one / h for one in law["seconds"]]
-    return RandomInputs(link, tuple(waits), tuple(chances), mean)
+        return {float(i): p for i, p in enumerate(law) if p}
+    if "histogram" in law:
+        rows = np.loadtxt(folder / law["histogram"], delimiter=",", skiprows=1, ndmin=2)
+        return {float(time / 1000 / h): float(p) for time, p in rows}
+    if "probability" not in law:
+        raise NotModelledError("traces of delays")
+    return {time / h: p for time, p in zip(law["seconds"], law["probability"], strict=True)}
 
 
 def _delays(tables: Tables) -> dict[str, Any]:
@@ -109,8 +119,10 @@ def _drawn(law: object) -> bool:
 
 
 def with_delay(tables: Tables, late: RandomInputs, delay: object) -> Tables:
-    """Return a file with a constant delay in place of the random one."""
-    network, links = dict(tables.get("network", {})), dict(tables.get("links", {}))
+    """Return a file with a constant delay in place of the random one, over a link that drops nothing."""
+    lost = (f"{late.link}_loss", f"{late.link}_burst")
+    network = {key: value for key, value in tables.get("network", {}).items() if key not in lost}
+    links = dict(tables.get("links", {}))
     key = f"{late.link}_delay"
     if key in network:
         network[key] = delay
@@ -160,6 +172,7 @@ def simulate_late(
     code = np.array([int(wait + 1e-9) * len(cuts) + cuts.index(round(wait % 1.0, 9)) for wait in late.waits])
     streams = [np.random.default_rng([seed, 7, i]) for i in range(4)]
     policy.start(paths, streams[0])
+    channel = Channel(late.law, paths, np.random.default_rng([seed, 8]))
     x, u = np.zeros((paths, model.n)), np.zeros((paths, model.m))
     newest = np.full(paths, -1)
     way: list[tuple[int, Array, Array]] = []  # step of sending, pieces in which packets arrive, and their inputs
@@ -168,8 +181,12 @@ def simulate_late(
     for k in range(settle + steps):
         y = x @ model.C.T + streams[1].standard_normal((paths, len(V))) @ root
         value, packets = policy.step(k, y, np.zeros((paths, 0)))
-        place = streams[2].choice(len(code), paths, p=late.odds)
-        arrives = np.where(packets[late.link] > 0, k * len(cuts) + code[place], -1)
+        if value.shape[1] > model.m:
+            raise NotModelledError("random delays with a slow disturbance that a controller compensates")
+        sums = late.odds.cumsum(axis=1)[channel.state if len(late.odds) > 1 else 0]
+        place = (streams[2].random(paths)[:, None] > sums).sum(axis=1)
+        comes = channel.arrives(packets[late.link] > 0) & (place < len(code))
+        arrives = np.where(comes, k * len(cuts) + code[np.minimum(place, len(code) - 1)], -1)
         way = [*(one for one in way if one[1].max() >= k * len(cuts)), (k, arrives, value.copy())]
         weight = float(k >= settle)
         for i, piece in enumerate(pieces):

@@ -110,3 +110,13 @@ def test_the_mean_delay_is_that_of_the_states_as_often_as_the_link_is_in_them() 
     ]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
     assert abs(costs[0] - costs[2]) > 1e-6 * costs[0]
+
+
+def test_several_lossy_links_may_be_late_at_random() -> None:
+    """The threshold is a share of the cost of every attempt, with the losses and the mean delay."""
+    problem = load("two-mass-lqg").changed({"kind": "distributed", "theta": 0.2, "network.protocol": "udp",
+                                            "network.actuator_loss": 0.1, "network.sensor_loss": 0.1})  # fmt: skip
+    late = problem.changed({"network.actuator_delay": [0.1, 0.8, 0.1]})
+    constant = problem.changed({"network.actuator_delay": 1})
+    assert late.design().cost_all_time == pytest.approx(constant.design().cost_all_time, rel=1e-12)
+    assert late.close(late.design()).violated_assumptions
