@@ -461,7 +461,7 @@ class Loop(Displayed):
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         outputs |= self._sampled(tick, known) | named("drawn", tick.thresholds if supplied else ())
-        outputs |= tick.delays() if supplied else {}
+        outputs |= tick.delays()
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 

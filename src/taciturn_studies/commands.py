@@ -35,6 +35,7 @@ from taciturn.cli.frame import (
 )
 
 if TYPE_CHECKING:
+    from taciturn_studies.buffers import TunedBuffer
     from taciturn_studies.tune import Tuned
 
 
@@ -192,6 +193,14 @@ def tune(
     least_period: Annotated[
         float | None, typer.Option(help="Also tune the sampling period; its smallest value is this number of seconds.")
     ] = None,
+    buffer: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="Find the buffer of this link with the least cost among its possible delays; without a budget, that "
+            "of sending every sample.",
+        ),
+    ] = None,
     as_json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -200,9 +209,10 @@ def tune(
     standard_error: StandardError = None,
     time: TimeLimit = None,
 ) -> None:
-    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violations of limits."""
+    """Tune a policy to meet a budget on its rate, its cost, or the violations of limits, or a receiver's buffer."""
     import taciturn
     from taciturn.extend import answered_within
+    from taciturn_studies.buffers import tune_buffer
     from taciturn_studies.tune import TunedPeriod, tune_period
 
     allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
@@ -211,7 +221,25 @@ def tune(
     with answered_within(time):
         problem, on = load_changed(file, settings, no_functions), cast("Any", link)
         with progress_bar("searching") as progress:
-            if least_period is None:
+            if buffer is not None:
+                if least_period is not None:
+                    raise taciturn.ProblemError(
+                        "--buffer and --least-period are both given; expected one of them: the best buffer depends on "
+                        "the period"
+                    )
+                found = tune_buffer(
+                    problem,
+                    buffer,
+                    rate=allowed,
+                    cost=spent,
+                    traffic=paid,
+                    violation=violation,
+                    link=on,
+                    seed=seed or 0,
+                    standard_error=standard_error,
+                    progress=progress,
+                )
+            elif least_period is None:
                 found = taciturn.tune(
                     problem,
                     rate=allowed,
@@ -239,13 +267,13 @@ def tune(
                     progress=progress,
                 )
     best = found.best if isinstance(found, TunedPeriod) else found
-    print_result(found, as_json, verbose, best.problem, unused=None if best.evaluation.drawn else seed)
-    save_picture(found, plot, style, as_json, best.problem, seed or 0, best.evaluation.method)
+    print_result(found, as_json, verbose, best.problem, unused=None if best.drawn else seed)
+    save_picture(found, plot, style, as_json, best.problem, seed or 0, best.method)
     if out is not None:
         _write(best, file, out)
         if not as_json:
             typer.echo(f"written: {out}")
-    if not best.evaluation.reached:
+    if not best.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
 
 
@@ -259,14 +287,14 @@ def _expect_new(out: Path) -> None:
         raise ProblemError(f"the file {out} already exists; expected the name of a new file: files are not overwritten")
 
 
-def _write(found: Tuned, file: str, out: Path) -> None:
-    """Write the problem file of a tuned policy."""
+def _write(found: Tuned | TunedBuffer, file: str, out: Path) -> None:
+    """Write the problem file with what was tuned."""
     from taciturn.extend import write_whole
     from taciturn.problem.write import tables_text
 
     tables = {**(found.problem.source or {})}
     policy = tables.pop("policy", {})
-    line = f"# Written by taciturn tune, from {file}: {found.goal.text(found.evaluation)}."
+    line = f"# Written by taciturn tune, from {file}: {found.aim}."
     write_whole(out, f"{line}\n\n{tables_text({**tables, 'policy': policy})}".encode())
 
 

@@ -35,7 +35,7 @@ from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import Store, digest, encode, fingerprint
 from taciturn_studies.workers import Report, accepted, asked, deserted, refuse_other_versions, workers_of
 
-FORMAT = 2  # of a stored answer; files of another format are not used
+FORMAT = 3  # of a stored answer; files of another format are not used
 BLOCK = 1.0  # seconds that a task should take: a thousand times the overhead of a task
 ROUNDS = 4  # least number of remaining tasks per worker, so that all workers finish at about the same time
 PATIENCE = 5.0  # seconds without an answer, after which missing workers are reported

@@ -510,6 +510,26 @@ class Tuned(Tabular):
         return self.goal.confidence(self.evaluation)
 
     @property
+    def aim(self) -> str:
+        """The budget in words."""
+        return self.goal.text(self.evaluation)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether a number depends on the seed."""
+        return self.evaluation.drawn
+
+    @property
+    def method(self) -> str:
+        """The method that gave cost and rates."""
+        return self.evaluation.method
+
+    @property
+    def reached(self) -> bool:
+        """Whether the requested standard error was reached."""
+        return self.evaluation.reached
+
+    @property
     def budget(self) -> dict[str, object]:
         """The limited quantity, its limit, and the confidence that the policy meets the limit."""
         return {"of": self.goal.name, "at_most": self.goal.document, "confidence": self.confidence}

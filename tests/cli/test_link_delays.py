@@ -140,3 +140,17 @@ def test_a_network_without_delays_shows_none(run: Run) -> None:
         "text": "a packet is used 3 steps after it was sent", "unit": "steps", "mean": None, "largest": None,
         "buffer": 3, "lost": 0.0,
     }  # fmt: skip
+
+
+def test_the_best_buffer_is_printed_and_written(run: Run, tmp_path: Path) -> None:
+    """With the share of late packets and the cost of each possible delay; the file has the best one."""
+    law = ("--set", "network.actuator_delay=[0.2, 0.5, 0.25, 0.05]", "--set", "network.protocol=tcp")
+    given = ("tune", "inverted-pendulum", "--set", "policy.kind=excess", *law, "--buffer", "actuator")
+    answer = run(*given, "--out", str(tmp_path / "out.toml"))
+    assert answer.code == 0
+    assert "2 steps         5.0 %" in answer.out
+    found = json.loads(run(*given, "--json").out)
+    assert found["key"] == "network.actuator_buffer"
+    assert found["cost"]["value"] == min(row["cost"]["value"] for row in found["buffers"])
+    assert taciturn.load(tmp_path / "out.toml").network.links["actuator"].buffer == (found["buffer"], 0.0)
+    assert "--buffer and --least-period are both given" in run(*given, "--least-period", "0.01").sentence

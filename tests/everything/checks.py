@@ -24,11 +24,13 @@ from everything import plain
 from everything.commands import run
 from everything.every_path import every_path_policy, promised
 from everything.interpreters import CHEAP, COSTLY, SkippedError
+from everything.late_paths import same_queues
 from everything.laws import nodes_of
 from everything.lower import bounded_below
 from everything.mutated import like_python
 from everything.nodes import on_every_path
 from everything.policies import policy_of, resolved
+from everything.random_delays import random_inputs, simulate_late, with_delay
 from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, command, is_sentence
 from everything.toml import text_of
 
@@ -298,8 +300,10 @@ def compare(
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
     tables = plain.in_plain_form(tables)
-    model = resolved(tables, plain.model_of(tables, folder), folder)
-    policy, twin = policy_of(tables, model, found.cost_all_time)
+    late = random_inputs(tables, folder)
+    given = tables if late is None else with_delay(tables, late, late.mean)
+    model = resolved(given, plain.model_of(given, folder), folder)
+    policy, twin = policy_of(given, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
     other = world is not model or (world.loads is not None and (world.loads.values.size or not world.average))
     if other and twin is not None:
@@ -312,7 +316,10 @@ def compare(
     settle = max(SETTLE, settling(model, getattr(policy, "radius", 0.5)))
     if longer > 1:  # dead bands may hold an input for thousands of steps
         settle = max(settle, min(LONGER * settle, LONGEST_SETTLING))
-    own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
+    if late is None:
+        own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
+    else:
+        own = simulate_late(tables, late, policy, folder, seed, 4 * paths, steps, settle)
     result: dict[str, tuple[str, str, float]] = {}
 
     def add(name: str, mine: tuple[float, float], value: float, error: float) -> None:
@@ -374,7 +381,7 @@ def written_again(report: Report, problem: Problem, found: Evaluation, tables: T
     changed = problem.changed({})
     if summary_of(changed) != summary_of(problem):
         report.faults.append(Fault("changed by nothing", f"{summary_of(problem)}\n{summary_of(changed)}"))
-    parse(tables, "tables") if "function" not in problem.source["plant"] and "file" not in text else None
+    parse(tables, "tables") if "function" not in problem.source["plant"] and ".csv" not in text else None
 
 
 def summary_of(problem: Problem) -> str:
@@ -460,6 +467,7 @@ CHECKS: dict[str, Check] = {
     "shown": shown,
     "used": used,
     **{name: by(work, name) for table in (CHEAP, COSTLY) for name, work in table.items()},
+    "queues": by(same_queues, "queues"),
     "mutated": by(lambda problem, found, seed, folder: like_python(problem, seed, folder), "mutated"),
     "network": through_network,
     "lower bound": by(lambda problem, found, seed, folder: bounded_below(problem, seed, evaluated), "lower bound"),

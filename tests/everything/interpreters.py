@@ -17,7 +17,7 @@ import numpy as np
 from everything.toml import text_of
 
 import taciturn
-from taciturn.errors import TaciturnError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.model.policy import Policy
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
@@ -40,13 +40,24 @@ def stepping(problem: Problem) -> Policy:
     policy = problem.designed()
     if not isinstance(policy, Policy):
         raise SkippedError("a policy without steps")
-    if problem.network.late:
-        raise SkippedError("delays that vary, or losses of which a sender learns only after a delay")
     return policy
+
+
+def or_refused_if_late(problem: Problem, use: Callable[[], object]) -> None:
+    """Use a problem; if its links are late at random, a refusal must name their delays, and skips the check."""
+    try:
+        use()
+    except ProblemError as error:
+        if not problem.network.late:
+            raise
+        if "delay" not in str(error):
+            raise AssertionError(f"a refusal of random delays that does not name them: {error}") from None
+        raise SkippedError(str(error)) from None
 
 
 def same_bits_of_nodes(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
     """Separate nodes that exchange packets decide as the loop, in every bit."""
+    from runtime import late
     from runtime.loops import differing_ticks, record
 
     policy = stepping(problem)
@@ -56,6 +67,9 @@ def same_bits_of_nodes(problem: Problem, found: Evaluation, seed: int, folder: P
     if policy.model.outputs > policy.model.sensed:
         return _set_points_as_packets(problem, policy, seed)
     ticks = min(TICKS, loop.horizon or TICKS)
+    if problem.network.late:
+        wrong, _ = late.differing_steps(loop, late.record(loop, ticks, seed))
+        return f"nodes differ from the loop, with its delays, in the steps {wrong[:10]}" if wrong else None
     wrong, _ = differing_ticks(loop, *record(loop, ticks, seed))
     return f"nodes differ from the loop in the steps {wrong[:10]}" if wrong else None
 
@@ -71,7 +85,7 @@ def _set_points_as_packets(problem: Problem, policy: Policy, seed: int) -> str |
             y = plant.measurement
             u = nodes.step(y[:sensed], reference=y[sensed:])
             inputs.append(u.tobytes())
-            plant.move(tuple(u))
+            plant.move(tuple(u.ravel()))
         runs.append(inputs)
     return None if runs[0] == runs[1] else "two runs of the nodes differ"
 
@@ -96,7 +110,7 @@ def saved_state(problem: Problem, found: Evaluation, seed: int, folder: Path) ->
             return f"pickled nodes differ in step {tick}"
         if not np.isfinite(u).all():
             return f"the input of step {tick} is {u}"
-        plant.move(tuple(u))
+        plant.move(tuple(u.ravel()))
     return None
 
 
@@ -163,7 +177,7 @@ class Run:
         """Make a step, and return the cost up to now, without that of the noise between samples."""
         y = self.plant.measurement
         told: dict[str, Any] = {"reference": y[self.sensed :]} if self.changing else {}
-        self.cost += self.plant.move(tuple(self.nodes.step(y[: self.sensed], **told)))
+        self.cost += self.plant.move(tuple(self.nodes.step(y[: self.sensed], **told).ravel()))
         return self.cost + self.plant.final_cost()
 
 
@@ -176,6 +190,9 @@ def recorded(problem: Problem, found: Evaluation, seed: int, folder: Path) -> st
 def world_of_faults(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
     """A world of faults in virtual time, some nodes in C: no invariant breaks."""
     stepping(problem)
+    if problem.network.late:
+        or_refused_if_late(problem, lambda: run_world(problem, seed % 10_000, []))
+        return "random delays are accepted by a world of faults, and this check does not know them"
     if problem.cost.mission:
         raise SkippedError("a horizon or a discount")
     if any(rate.value < RARE * (found.base_rate or 1.0) for rate in found.rates.values()):
@@ -199,7 +216,7 @@ def in_c(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | 
     if compiler is None:
         raise SkippedError("there is no C compiler")
     place = folder / "c"
-    taciturn.export_c(problem, place)
+    or_refused_if_late(problem, lambda: taciturn.export_c(problem, place))
     sources = sorted(map(str, place.glob("*.c")))
     options = [*STRICT, *SANITIZED, "-ffp-contract=off"]
     made = subprocess.run(
@@ -221,7 +238,7 @@ def as_unit(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str
     if shutil.which("cc") is None:
         raise SkippedError("there is no C compiler")
     loop = problem.close(policy)
-    make_unit(loop, folder / "unit", seed=3)
+    or_refused_if_late(problem, lambda: make_unit(loop, folder / "unit", seed=3))
     vector = record(loop, TICKS)
     instance = Instance(folder / "unit").start()
     wrong = differing_ticks(instance, loop, vector, range(len(vector.measured)))

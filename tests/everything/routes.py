@@ -70,7 +70,7 @@ def run_nodes(problem: taciturn.Problem, folder: Path, seed: int) -> None:
         y = plant.measurement
         u = nodes.step(y[:sensed], reference=y[sensed:]) if policy.model.outputs > sensed else nodes.step(y)
         assert np.isfinite(u).all(), u
-        plant.move(tuple(u))
+        plant.move(tuple(u.ravel()))
 
 
 ROUTES: dict[str, Callable[[Path, int], str | None]] = {

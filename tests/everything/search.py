@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from everything.checks import EXPENSIVE, Fault, Report, examine
+from everything.delays import RANDOM_INPUTS
 from everything.draft import Elsewhere, write
 from everything.features import FEATURES, build, by_name
 from everything.fingerprints import differing
@@ -105,6 +106,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "controller": ("proportional and integral", "PID", "linear controller"),
     "pid": ("proportional and integral", "PID"),
     "reference": ("set-point",),
+    "controlled": ("gain", "proportional", "linear controller"),
     "every path": ("every path", "proportional and integral", "PID", "linear controller"),
 }
 """What some features need beside them, from which one is drawn."""
@@ -118,6 +120,9 @@ REQUIRED: Mapping[str, str] = {
     "bank": "every path", "relative bank": "every path", "relative bank of a share": "every path",
     "threshold of silence": "every path", "spending": "every path", "range of gains": "every path",
     "late probes": "link probe", "probes in buffers": "link probe", "probes too late": "link probe",
+    "probes at random times": "link probe", "acknowledged probes at random times": "link probe",
+    "valves at random times": "link valve", "acknowledged valves at random times": "link valve",
+    "samples at random times": "controlled", "sensor at random times": "controlled",
     "late valves": "link valve", "valves too late": "link valve",
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
@@ -137,6 +142,9 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "valves of different delays": ("two inputs", "two actuators"),
     "samples late by a part": ("continuous",), "inputs late by a part": ("continuous",),
     "inputs late by more": ("continuous",), "inputs too late by a part": ("continuous",),
+    "probes at random times": ("gain",), "acknowledged probes at random times": ("gain",),
+    "inputs at random parts": ("continuous",), "acknowledged inputs at random parts": ("continuous",),
+    "inputs by a trace": ("continuous",), "inputs by a histogram": ("continuous",),
     "probes late by a part": ("continuous", "two outputs", "two sensors"),
     "valves late by a part": ("continuous", "two inputs", "two actuators"),
 }  # fmt: skip
@@ -151,6 +159,10 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
     "delay": ("lossy-lqg",), "samples too late": ("lossy-lqg", "distributed", "excess"),
     "inputs too late": ("lossy-lqg", "distributed", "excess"), "inputs too late by a part": ("distributed", "excess"),
+    "samples at random times": ("distributed",), "sensor at random times": ("distributed",),
+    "probes at random times": ("distributed",), "acknowledged probes at random times": ("distributed",),
+    "valves at random times": ("distributed",), "acknowledged valves at random times": ("distributed",),
+    **dict.fromkeys(RANDOM_INPUTS, ("excess", "excess", "distributed", "all-time", "periodic")),
     "probes too late": ("distributed",), "valves too late": ("distributed",),
     "proportional and integral": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
     "PID": ("excess", "event-pid", "distributed", "all-time", "periodic"),

@@ -127,7 +127,7 @@ def test_a_trace_is_read_in_the_order_of_sending(file: Any, content: str | bytes
     law = delay_from("delay", {"trace": file(content)})
     assert (law.waits, law.odds, law.sequence) == ((0.01, 0.02), ((0.5, 0.25),), (0, 2, 1, 0))
     assert law.text() == "measured, 10 ms to 20 ms, mean 13.33 ms, 25 % lost"
-    assert law.mean == pytest.approx(0.04 / 3)
+    assert law.mean_by() == pytest.approx(0.04 / 3)
 
 
 @pytest.mark.parametrize(

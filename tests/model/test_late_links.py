@@ -94,3 +94,29 @@ def test_queries_are_scheduled_for_an_unstable_plant_whose_inputs_are_late() -> 
     rates = [problem.changed({"network.actuator_delay": steps}).design().schedule.rate for steps in (0, 1)]  # type: ignore[union-attr]
     assert rates[0] > 0
     assert problem.changed({"network.actuator_delay": 1}).design().cost_all_time > problem.design().cost_all_time  # type: ignore[operator]
+
+
+def test_the_mean_delay_is_that_of_the_states_as_often_as_the_link_is_in_them() -> None:
+    """Four fifths of the time in the first one: 0.26/0.98 of a step, and not 0.53, which would round to a step."""
+    burst = {"to_bad": 0.1, "to_good": 0.4, "loss_good": 0.0, "loss_bad": 0.3}
+    law = {"states": [[0.9, 0.1], [0.2, 0.5, 0.2]]}
+    link = pendulum(protocol="udp", actuator_burst=burst, actuator_delay=law).network.links["actuator"]
+    assert link.delay is not None
+    assert link.delay.mean_by(link.states) == pytest.approx(0.26 / 0.98)
+    assert link.delay.expected(link.states) == Wait(0)
+    costs = [
+        pendulum(protocol="tcp", actuator_burst=burst, actuator_delay=law, design_delay=delay).design().cost_all_time
+        for delay in (None, 0.02 * 0.26 / 0.98, 0.02 * 1.0 / 1.9)
+    ]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
+    assert abs(costs[0] - costs[2]) > 1e-6 * costs[0]
+
+
+def test_several_lossy_links_may_be_late_at_random() -> None:
+    """The threshold is a share of the cost of every attempt, with the losses and the mean delay."""
+    problem = load("two-mass-lqg").changed({"kind": "distributed", "theta": 0.2, "network.protocol": "udp",
+                                            "network.actuator_loss": 0.1, "network.sensor_loss": 0.1})  # fmt: skip
+    late = problem.changed({"network.actuator_delay": [0.1, 0.8, 0.1]})
+    constant = problem.changed({"network.actuator_delay": 1})
+    assert late.design().cost_all_time == pytest.approx(constant.design().cost_all_time, rel=1e-12)
+    assert late.close(late.design()).violated_assumptions

@@ -133,7 +133,8 @@ class LateBase(Displayed):
             if given is not None:
                 periods = given / step
             else:  # the mean of the odds may round to beyond the delays
-                periods = float(np.clip(one.law.mean, one.law.waits[0], one.law.waits[-1]))
+                mean = one.law.mean_by(self.network.links[one.node].states)
+                periods = float(np.clip(mean, one.law.waits[0], one.law.waits[-1]))
             for row in one.rows:
                 waits[row] = Wait(int(np.round(periods))) if isinstance(plant, Plant) else Wait(0, periods * step)
         late = with_transport(plant, Transport.of(waits, [Wait()] * len(plant.C)))

@@ -40,6 +40,7 @@ import numpy as np
 from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
 from taciturn._modes import closure
+from taciturn._text import number_of
 from taciturn.errors import ProblemError
 from taciturn.lqg.enclosures import E, block
 from taciturn.lqg.followed import Followed
@@ -69,6 +70,13 @@ class Registers(NamedTuple):
     noises: tuple[int, ...]  # output whose noise each of the last registers holds
     ages: tuple[int, ...]  # steps since the command, of each of the first registers
     late: tuple[int, ...]  # whole periods after which each input acts
+
+    def names(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+        """Write what each register holds, from the labels of inputs and outputs, such as "u1, 2 steps ago"."""
+        held = [f"{inputs[i]}, {number_of(age, 'step')} ago" for i, age in zip(self.inputs, self.ages, strict=True)]
+        for place, j in enumerate(self.outputs):
+            held.append(f"{outputs[j]}, {number_of(place - self.outputs.index(j) + 1, 'step')} ago")
+        return [*held, *(f"noise of {outputs[j]}" for j in self.noises)]
 
     def taking(self, C: Array) -> Array:
         """Return how the registers take up outputs C x, as a matrix that multiplies the states, (r, n)."""

@@ -151,20 +151,18 @@ class DelayLaw(Displayed):
         """Return the probability of each delay, for the shares of the states of the link; default: equal ones."""
         return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
 
-    @property
-    def mean(self) -> float:
-        """Mean delay of the packets that arrive, in steps or seconds, if every state of the link is as frequent."""
-        return self.mean_by(())
-
-    def mean_by(self, shares: Sequence[float]) -> float:
-        """Return the mean delay of the packets that arrive, for the shares of the states of the link."""
+    def mean_by(self, shares: Sequence[float] = ()) -> float:
+        """Return the mean delay of the packets that arrive, for the shares of the link's states; default: equal ones."""
         weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
 
-    @property
-    def expected(self) -> Wait:
-        """The mean delay of the packets that arrive, as a constant delay: seconds, or the nearest number of steps."""
-        return Wait(0, self.mean) if self.in_seconds else Wait(round(self.mean))
+    def expected(self, shares: Sequence[float]) -> Wait:
+        """Return the mean delay of the packets that arrive, as a constant delay, for the shares of the link's states.
+
+        It is in seconds, or the nearest number of steps.
+        """
+        mean = self.mean_by(shares)
+        return Wait(0, mean) if self.in_seconds else Wait(round(mean))
 
     def later(self, by: float) -> DelayLaw:
         """Return the law of packets that take longer, by steps or seconds; if ``by`` is negative, no less than 0."""

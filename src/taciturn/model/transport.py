@@ -32,7 +32,8 @@ def expected_by(plant: AnyPlant, network: Network) -> AnyPlant:
     """
     if not isinstance(cast("object", plant), DisplayedPlant):
         return plant
-    means = {name: law.delay.expected for name, law in network.links.items() if name in network.late and law.delay}
+    links = network.links.items()
+    means = {name: law.delay.expected(law.states) for name, law in links if name in network.late and law.delay}
     # of a network whose constant delays the plant shows already, they are those of the plant
     certain = transport_of(plant, network) or (plant.transport and plant.transport.certain)
     found = certain or Transport((Wait(),) * plant.inputs, (Wait(),) * len(plant.C))

@@ -11,5 +11,5 @@ Read the modules in this order:
 2. ``statistics``: means, batch means and renewal cycles with standard errors.
 3. ``reliability``: detection of averages that do not exist, or whose standard error cannot be trusted.
 4. ``trajectory``: one path, and the mean cost at each step. ``same_packets``: periodic control to compare it with.
-   ``bank``: many loops side by side.
+   ``late_packets``: how late the packets of links with random delays are. ``bank``: many loops side by side.
 """

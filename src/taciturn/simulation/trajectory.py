@@ -11,7 +11,8 @@ The figure of a path shows over time, from top to bottom:
 * the outputs y = C x without the noise of their measurement, with their estimates, their set-points, and the limits of
   the states that the problem states; in one panel if they are of one size, else in one panel each,
 * the disturbances, and the inputs that the plant gets, with their limits,
-* a lane for each link: a stroke for a packet that is delivered, a cross for one that the link drops,
+* a lane for each link: a stroke for a packet that is delivered, a cross for one that the link drops, and an open circle
+  for one that arrives no earlier than a newer one, so that the receiver does not use it,
 * each trigger as the ratio of the value of silence to its threshold, on a logarithmic axis: a packet is sent above 1.
   Scalar signals that allow silence, such as the content of a bank, are part of the threshold. If the threshold may be
   zero or negative, the trigger is the difference, and a packet is sent above 0.
@@ -36,6 +37,7 @@ from taciturn._style import Thing, find_style, policy_looks
 from taciturn._text import link_names, number_of, percent, symbol, table_text, width
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop, close
+from taciturn.lqg.registers import registers_of
 from taciturn.model.estimate import Estimate
 from taciturn.model.names import Names, Role, common_unit, unit_of
 from taciturn.model.policy import Policy, own_problem
@@ -48,7 +50,8 @@ from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
 from taciturn.program.missing import SAMPLED
 from taciturn.program.numpy import Run
-from taciturn.program.ops import Name, Option, Scalar, Sent, is_entry
+from taciturn.program.ops import Arrived, Name, Option, Scalar, Sent, is_entry
+from taciturn.simulation.late_packets import LatePackets, cuts_of, fates_of, late_links, of_records
 from taciturn.simulation.same_packets import periodic_control
 from taciturn.simulation.sampling import expect_numbers, find_loss, sends
 from taciturn.simulation.statistics import mean
@@ -88,7 +91,9 @@ class Trajectory(Tabular):
         allowances: by how much scalar signals, such as the content of a bank, reduce the values of options, by link, if
             they do; in a figure, a trigger is (trigger + allowance)/(threshold + allowance).
         sends: whether a packet was sent at each step, by link, (steps,).
-        delivered: whether a packet was sent and the link delivered it, by link, (steps,).
+        delivered: whether a packet was sent and the link delivered it, perhaps later, by link, (steps,).
+        overtaken: whether a packet was sent that a newer one has overtaken, by link with random delays, (steps,).
+        late: how late the packets are and how old the data that the receiver uses, by link with random delays.
         measurement: measurement y, (steps, p); where it is missing, the value that its node uses in its place.
         missing: whether each output is missing at each step, (steps, p); empty if none can be missing.
         reference: target of the state by a stored reference, (steps, n); empty without a reference.
@@ -107,7 +112,10 @@ class Trajectory(Tabular):
         Field("measurement", lambda found: found.measured),
         *plain_fields("trigger_value", "threshold", "sends", "delivered", "triggers", "thresholds"),
         *plain_fields("allowances", "cost"),
+        Field("overtaken", optional=True),
+        Field("late", key="late_packets", optional=True, say="late packets, {}", text="{}"),
         Field("names", lambda found: (found.loop.names or Names()).document(), optional=True),
+        Field("registers", optional=True),
         Field("predicted", key="", say="xhat", text=lambda found: PREDICTED if found.predicts else ""),
         Field("omitted", key="", say="note"),
         Field("versus", json=lambda path: {"name": path.name, **path.document()}, optional=True),
@@ -125,6 +133,8 @@ class Trajectory(Tabular):
     allowances: Mapping[str, Array]
     sends: Mapping[str, Bits]
     delivered: Mapping[str, Bits]
+    overtaken: Mapping[str, Bits]
+    late: Mapping[str, LatePackets]
     measurement: Array
     missing: Bits
     reference: Array
@@ -158,10 +168,28 @@ class Trajectory(Tabular):
         return self.loop.problem.plant.dt or 1.0
 
     def packets(self, link: str, unit: str = "") -> str:
-        """Write in how many steps a link sent a packet, and how many of its packets were dropped."""
+        """Write in how many steps a link sent a packet, and how many of its packets were dropped or overtaken."""
         sent = self.sends[link]
-        dropped = int((sent & ~self.delivered[link]).sum())
-        return f"{int(sent.sum())} of {len(sent)}{unit}{f', {dropped} dropped' if dropped else ''}"
+        counts = {"dropped": int((sent & ~self.delivered[link]).sum())}
+        counts |= {"overtaken": int(self.overtaken[link].sum())} if link in self.overtaken else {}
+        told = "".join(f", {count} {what}" for what, count in counts.items() if count)
+        return f"{int(sent.sum())} of {len(sent)}{unit}{told}"
+
+    @property
+    def registers(self) -> dict[str, str]:
+        """What the states of the plant hold that delays of links add to it, by the symbol of the state."""
+        return {f"x{i + 1}": name for i, name in self._registers().items()}
+
+    def _registers(self) -> dict[int, str]:
+        """Return what registers hold, by the number of the state from 0."""
+        problem, source = self.loop.problem, self.loop.problem.source
+        if source is None or not problem.registers.any():
+            return {}
+        names = self.loop.names or Names()
+        held = registers_of(source, problem.tick).names(
+            names.numbered("inputs", source.inputs), names.numbered("outputs", len(source.C))
+        )
+        return dict(enumerate(held, start=source.states))
 
     def summary(self) -> Mapping[str, object]:
         """Return the values to display: number of steps, packets of each link, and numbers of signals."""
@@ -189,10 +217,10 @@ class Trajectory(Tabular):
         total = sum(counts.values())
         share = "" if not counts else f", {percent(total / (steps * len(counts)), 1)} of the packets"
         each = f": {', '.join(f'{link} {self.packets(link)}' for link in counts)}" if len(counts) > 1 else ""
-        dropped = sum(int((sent & ~self.delivered[link]).sum()) for link, sent in self.sends.items())
-        lost = (
-            f", of which {dropped} {'was' if dropped == 1 else 'were'} dropped" if dropped and len(counts) == 1 else ""
-        )
+        gone = {"dropped": sum(int((sent & ~self.delivered[link]).sum()) for link, sent in self.sends.items())}
+        gone["overtaken"] = sum(int(overtaken.sum()) for overtaken in self.overtaken.values())
+        told = " and ".join(f"{n} {'was' if n == 1 else 'were'} {what}" for what, n in gone.items() if n)
+        lost = f", of which {told}" if told and len(counts) == 1 else ""
         own = f"{number_of(total, 'packet')} in {number_of(steps, 'step')}{lasted}{share}{lost}{each}"
         if self.versus is None:
             return (own,)
@@ -207,8 +235,9 @@ class Trajectory(Tabular):
         named = [("x", self.state), ("u", self.input), *([("xhat", self.estimate)] if self.predicts else [])]
         names, columns = self.loop.names or Names(), list[tuple[str, Array]]()
         roles: Mapping[str, Role] = {"x": "states", "u": "inputs"}
+        held = self._registers()
         for name, values in named:
-            usual = [f"{name}{i + 1}" for i in range(values.shape[1])]
+            usual = [held.get(i, f"x{i + 1}") if name == "x" else f"{name}{i + 1}" for i in range(values.shape[1])]
             columns += zip(names.labels(roles[name], usual) if name in roles else usual, values.T, strict=True)
         longest = max([_COLUMN, *(len(name) + 2 for name, _ in columns)])
         room = max(_COLUMNS, width() // longest - 1)
@@ -250,6 +279,7 @@ class Trajectory(Tabular):
         columns |= {f"allowance_{link}": allowance for link, allowance in self.allowances.items()}
         columns |= {f"sent_{link}": sent for link, sent in self.sends.items()}
         columns |= {f"delivered_{link}": delivered for link, delivered in self.delivered.items()}
+        columns |= {f"overtaken_{link}": overtaken for link, overtaken in self.overtaken.items()}
         if self.versus is not None:
             columns |= {f"versus_{name}": column for name, column in self.versus.columns().items() if name != "time"}
         return columns
@@ -295,9 +325,9 @@ def _panels(path: Trajectory, paths: Sequence[Trajectory], brief: bool) -> list[
     lanes = [
         Lane(
             names[link],
-            path.time[delivered].tolist(),
+            path.time[delivered & ~path.overtaken.get(link, np.zeros_like(delivered))].tolist(),
             path.time[path.sends[link] & ~delivered].tolist(),
-            (),
+            path.time[path.overtaken[link]].tolist() if link in path.overtaken else (),
             path.packets(link),
         )
         for link, delivered in path.delivered.items()
@@ -638,6 +668,15 @@ def _path(loop: Loop, steps: int, seed: int, uniforms: int = 0) -> Trajectory:
         own = None if loop.problem.source is None else loop.problem.source.operating_point
         applied = applied if own is None else applied + own.u
     weighed = weigh_options(loop.policy, records)
+    sent = {key.link: values > 0 for key, values in records.items() if isinstance(key, Sent)}
+    delivered = {key.link: values > 0 for key, values in records.items() if isinstance(key, Received)}
+    overtaken, late = dict[str, Bits](), dict[str, LatePackets]()
+    for link in late_links(loop):
+        own, codes = sent[link][:, None], records[Arrived(link, 0)][:, None]
+        fates = fates_of(own, codes, len(cuts_of(loop)))
+        delivered[link] = (own & ~fates.lost)[:, 0]
+        overtaken[link] = fates.overtaken[:, 0]
+        late[link] = of_records(loop, link, own, codes)
     return Trajectory(
         time=np.arange(steps, dtype=np.float64) * (dt or 1.0),
         unit="steps" if dt is None else "s",
@@ -647,8 +686,10 @@ def _path(loop: Loop, steps: int, seed: int, uniforms: int = 0) -> Trajectory:
         triggers={link: one.silent for link, one in weighed.items()},
         thresholds={link: one.sending for link, one in weighed.items()},
         allowances={link: one.allowed for link, one in weighed.items() if one.allowed is not None},
-        sends={key.link: values > 0 for key, values in records.items() if isinstance(key, Sent)},
-        delivered={key.link: values > 0 for key, values in records.items() if isinstance(key, Received)},
+        sends=sent,
+        delivered=delivered,
+        overtaken=overtaken,
+        late=late,
         measurement=measured,
         missing=stacked(SAMPLED) == 0.0,
         reference=stacked(loop.policy.targets.get("x", "")),

@@ -51,6 +51,7 @@ from taciturn.problem.without_file import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
+from taciturn.simulation.late_packets import LatePackets, late_packets
 from taciturn.simulation.sampling import Averages
 from taciturn.study.baseline import baseline_of, better_baselines, costs_less, excess_over
 from taciturn.study.evaluation import Consistency, Evaluation, TimeUnit, cost_unit, rate_unit
@@ -225,6 +226,9 @@ def _evaluated(
             stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0 - spare))
     with _part("cost without limits", notes):
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
+    late = dict[str, LatePackets]()
+    with _part("late packets", notes):
+        late = late_packets(loop, request.seed)
     around = None
     if after_step and policy.theory.closed_form is None:  # it sends at fixed steps
         with _part("send rates around changes of the set-points", notes):
@@ -282,6 +286,7 @@ def _evaluated(
         baseline=None if base.loop is None else every,  # or the theory states it
         paired=None if base.loop is None else excess,
         better=better,
+        late=late,
     )
 
 

@@ -32,6 +32,7 @@ from taciturn.model.result import SPLICED, VERDICT, Field, Tabular, plain_fields
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.problem import Problem
+from taciturn.simulation.late_packets import LatePackets
 from taciturn.study.baseline import excess_over
 from taciturn.study.evaluation_figure import cost_panel, rate_panel
 from taciturn.study.further_loops import AfterStep, AsWritten, WithoutLimits
@@ -433,6 +434,8 @@ class Evaluation(Tabular):
             the cost that its silence may add, or has added if the guarantee is relative, divided by the sum of these
             roots; empty for a single decision.
         withdrawn: differences between the loop and its design, because of which no guarantee holds.
+        late: how late packets are, how many are overtaken or lost, and how old the data are that receivers use, by link
+            with random delays; averages over simulated paths.
         by_default: whether the model contains a slow disturbance that Taciturn adds by default.
         doubts: reasons why simulated numbers may not be averages, which are also among the notes.
     """
@@ -483,6 +486,7 @@ class Evaluation(Tabular):
         Field("violations", key="violation", optional=True, say="violation", text=_violated),
         Field("after_step", optional=True, say="after a step", text=_sentence("after_step")),
         Field("set_point_steps", key=SPLICED, optional=True, say="set-points", text=_sentence("set_point_steps")),
+        Field("late", key="late_packets", optional=True, say="late packets, {}", part="method"),
         Field("without_limits", key=SPLICED, optional=True, say="limits", text=_sentence("without_limits")),
         Field("as_written", optional=True, say="as written", text=_written_line, after="policy"),
         Field("notes", optional=True, say="note", text=lambda found: list(found.remarks)),
@@ -539,6 +543,7 @@ class Evaluation(Tabular):
     by_default: bool = False
     baseline: Estimate | None = None
     paired: Estimate | None = None
+    late: Mapping[str, LatePackets] = field(hash=False, default_factory=lambda: {})
     better: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
 
     @property
