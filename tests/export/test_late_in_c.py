@@ -24,10 +24,12 @@ LAWS: dict[str, tuple[int, Problem]] = {
     "0 to 4 steps, some never": (5000, pendulum({"delta": 0.05}, delay=[0.5, 0.1, 0.1, 0.1, 0.15])),
     "rounded": (3000, pendulum({"delta": 0.05}, payload="float32")),
     "not acknowledged": (3000, pendulum(acknowledged=False)),
+    "predicted": (3000, pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False)),
+    "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
 }
 
 
-@pytest.mark.parametrize("name", few([*LAWS], 4))
+@pytest.mark.parametrize("name", few([*LAWS], 6))
 def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_path: Path) -> None:
     """Nodes that exchange datagrams, which the exchange holds for the delays of the recorded loop."""
     rows, problem = LAWS[name]
