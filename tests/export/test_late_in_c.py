@@ -25,17 +25,21 @@ LAWS: dict[str, tuple[int, Problem]] = {
     "rounded": (3000, pendulum({"delta": 0.05}, payload="float32")),
     "not acknowledged": (3000, pendulum(acknowledged=False)),
     "predicted": (3000, pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False)),
+    "predicted by a controller": (3000, taciturn.load("inverted-pendulum").changed({
+        "kind": "excess", "link": "sensor", "actuation": "model", "theta": 0.3,
+        "network.sensor_delay": [0.3, 0.1, 0.5], "network.protocol": "udp",
+    })),
     "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
 }
 
 
-@pytest.mark.parametrize("name", few([*LAWS], 6))
+@pytest.mark.parametrize("name", few([*LAWS], 7))
 def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_path: Path) -> None:
     """Nodes that exchange datagrams, which the exchange holds for the delays of the recorded loop."""
     rows, problem = LAWS[name]
     found = print_folder(problem.close(problem.design()), "pendulum", rows=rows)
     delays = {int(one) - 1 for one in np.unique(found.vector.arrived)}
-    assert delays == set(range(-1, len(problem.network.links["actuator"].delay.waits)))  # type: ignore[union-attr]
+    assert delays == set(range(-1, len(next(law.delay for law in problem.network.links.values() if law.delay).waits)))  # type: ignore[union-attr]
     found.write(tmp_path)
     sources = [str(path) for path in tmp_path.glob("*.c")]
     command = [needs_compiler(), *STRICT, "-O1", f"-I{tmp_path}", "-o", str(tmp_path / "check"), *sources, "-lm"]

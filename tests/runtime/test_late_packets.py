@@ -59,6 +59,12 @@ def loops() -> dict[str, Callable[[], Loop]]:
         )  # fmt: skip
         return taciturn.close(problem.plant, design, problem.network)
 
+    def heard(changes: dict[str, object]) -> Loop:
+        late = {"network.sensor_delay": [0.3, 0.1, 0.4, 0.1], "network.sensor_loss": 0.1, "network.protocol": "udp"}
+        policy = {"kind": "excess", "link": "sensor", "actuation": "model", "theta": 0.3}
+        problem = taciturn.load("inverted-pendulum").changed({**policy, **late, **changes})
+        return problem.close(problem.design())
+
     def predicting(laws: dict[str, dict[str, object]]) -> Loop:
         changes = {f"links.{link}.{key}": one for link, law in laws.items() for key, one in law.items()}
         problem = taciturn.load("quadruple-tank").changed(changes)
@@ -76,6 +82,10 @@ def loops() -> dict[str, Callable[[], Loop]]:
             {"actuation": "model"}, delay=WITHIN, payload="float32"
         ),
         "predicted with a given controller": lambda: unheard({"actuation": "model"}, given=True),
+        "predicted by a controller": lambda: heard({}),
+        "predicted by a controller at an operating point": lambda: heard(
+            {"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}, "network.payload": "float32"}
+        ),
         "plan": lambda: unheard({"plan": 3}, delay=[0.3, 0.1, 0.1, 0.1, 0.3]),
         "plan, within periods": lambda: unheard({"plan": 1}, delay=WITHIN),
         "plan at an operating point": lambda: unheard({"plan": 2}, resting=True),

@@ -35,6 +35,7 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CANDIDATE = "candidate"
+COMMANDS, USES = "past commands", "past values"  # of a controller that hears packets late, the newest ones first
 PLAN, PLANNED, AHEAD = "plan", "planned", "ahead"  # inputs of the next steps: in a packet, copied, at the actuator
 Actuation: TypeAlias = Literal["hold", "model", "zero"]
 PREDICTED = "delays are random and actuation is 'model'"
@@ -236,7 +237,7 @@ def route_over(
 ) -> GivenRoute:
     """Return the policy steps of a link of a given controller. ``measured`` is the measurement as a sum of signals.
 
-    An actuator that predicts receives packets of up to ``oldest`` steps.
+    A receiver that predicts hears packets of up to ``oldest`` steps.
     """
     start = np.zeros(len(controller.A)) if start is None else start
     at = "sensor" if link == "sensor" else "controller"
@@ -249,7 +250,8 @@ def route_over(
             "actuation is 'zero', but the policy sends its packets on the sensor link; expected actuation = 'hold' or "
             "'model'"
         )
-    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, measured, follows)
+    model = actuation == "model"
+    return _over_sensor_link(problem, controller, model, lossy, copied, start, measured, follows, oldest * model)
 
 
 def _begins(node: str, measured: Mapping[str, Array], registers: int) -> tuple[Step, ...]:
@@ -319,10 +321,12 @@ def _over_sensor_link(
     start: Array,
     measured: Mapping[str, Array],
     follows: bool,
+    oldest: int,
 ) -> GivenRoute:
     """Return the route of measurements; the sensor has a copy of the controller, if it ``follows`` it.
 
     In silence, a controller that predicts uses C x̃, with the state x̃ of a model that starts at the last sent estimate.
+    It moves an older packet to the present with its own inputs since then (``_Past``).
     """
     plant, c = problem.plant, controller
     p, state, at = plant.outputs, np.eye(plant.states), "sensor"
@@ -331,9 +335,12 @@ def _over_sensor_link(
     known = ({CANDIDATE: unit}, {MEASURED: unit})
     silent = {"forecast": plant.C} if model else {"used": unit}
     packet = {MEASURED: unit, **({ESTIMATE: state} if model else {}), **({REGISTER: own} if k else {})}
-    adopted = Assign("controller", "state", ({"state": own}, {REGISTER: own}), Received("sensor")) if k else None
+    if oldest:
+        _expect_linear(plant, False, PREDICTED)
+    past, heard = _Past(plant, c, oldest), heard_on("sensor", oldest)
+    adopted = Assign("controller", "state", ({"state": own}, *past.states), heard) if k else None
     receiver: tuple[Step, ...] = (
-        Assign("controller", "used", (silent, {MEASURED: unit}), Received("sensor")),
+        Assign("controller", "used", (silent, {MEASURED: unit}, *past.outputs), heard),
         *((adopted,) if adopted else ()),
         Assign("controller", "command", nonempty({"state": c.C, "used": c.D})),
         Assign("actuator", "input", {"command": np.eye(plant.inputs)}),
@@ -348,10 +355,10 @@ def _over_sensor_link(
     begun = plant.C @ plant.mean
     first = {"prediction": plant.mean, "forecast": plant.mean} if model else {"known": begun, "used": begun}
     if model:
-        followed = ({"forecast": state}, {ESTIMATE: state})
         receiver += (
-            Assign("controller", "model", followed, Received("sensor")),
+            Assign("controller", "model", ({"forecast": state}, *past.models), heard),
             Assign("controller", "forecast", {"model": plant.A, "command": plant.B}),
+            *past.kept,
         )
         copy += (
             Assign(at, "copy", ({"prediction": state}, {ESTIMATE: state}), on),
@@ -374,6 +381,66 @@ def _over_sensor_link(
         begun=begun,
         registers=k,
     )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Past(Displayed):
+    """How a controller moves a packet of the sensor to the present, j steps after it was sent.
+
+    With the commands u and the values ν that it has used since then,
+
+        x̃_k = Aʲ x̂_{k−j} + Σ_{i=1}^{j} Aⁱ⁻¹ B u_{k−i},
+        x^c_k = A_cʲ x^c_{k−j} + Σ_{i=1}^{j} A_cⁱ⁻¹ (B_c ν_{k−i} + E_c u_{k−i}),
+
+    where ν_{k−j} is the measurement in the packet. In place of a measurement for step k, it uses C x̃_k.
+    """
+
+    plant: Plant
+    controller: Controller
+    oldest: int  # largest age in steps of a packet
+
+    @property
+    def models(self) -> list[Mapping[str, Array]]:
+        """The state of the plant's model, by the age of the packet."""
+        A, B, found = self.plant.A, self.plant.B, [dict[str, Array]({ESTIMATE: np.eye(self.plant.states)})]
+        for age in range(1, self.oldest + 1):
+            since = self._since(A, B, range(age))
+            found.append({ESTIMATE: np.linalg.matrix_power(A, age), COMMANDS: since})
+        return [*found]
+
+    @property
+    def outputs(self) -> list[Mapping[str, Array]]:
+        """The value that the controller uses, by the age of a packet that is not of this step."""
+        return [{name: self.plant.C @ matrix for name, matrix in one.items()} for one in self.models[1:]]
+
+    @property
+    def states(self) -> list[Mapping[str, Array]]:
+        """The state of the controller, by the age of the packet."""
+        c = self.controller
+        found = [dict[str, Array]({REGISTER: np.eye(len(c.A))})]
+        for age in range(1, self.oldest + 1):
+            first = np.linalg.matrix_power(c.A, age - 1)
+            used, commands = self._since(c.A, c.B, range(age - 1)), self._since(c.A, c.E, range(age))
+            found.append({REGISTER: first @ c.A, MEASURED: first @ c.B, USES: used, COMMANDS: commands})
+        return [*found]
+
+    @property
+    def kept(self) -> tuple[Step, ...]:
+        """The steps by which the controller stores its last commands, and the values that it used."""
+        sizes = {COMMANDS: ("command", self.plant.inputs), USES: ("used", self.plant.outputs)}
+        names = [COMMANDS, *([USES] if len(self.controller.A) else [])] if self.oldest else []
+        found = list[Step]()
+        for name, (one, size) in ((name, sizes[name]) for name in names):
+            whole = np.eye(self.oldest * size)
+            found.append(Assign("controller", name, {name: np.eye(len(whole), k=-size), one: whole[:, :size]}))
+        return tuple(found)
+
+    def _since(self, A: Array, B: Array, steps: range) -> Array:
+        """Return the matrix of past values, newest first: Aⁱ B for each of the steps, and 0 for those before."""
+        found = np.zeros((len(A), self.oldest * B.shape[1]))
+        for i in steps:
+            found[:, i * B.shape[1] : (i + 1) * B.shape[1]] = np.linalg.matrix_power(A, i) @ B
+        return found
 
 
 def actuator_base(problem: Discrete, controller: Controller) -> Base:

@@ -110,14 +110,16 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
         )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
     ages = {step.on.oldest for step in taken if isinstance(step.on, Received)}
-    held = all((ages != {None} or _is_held(step)) and by.count(step.signal) == 1 for step in taken)
+    alone = all(by.count(step.signal) == 1 for step in taken)
+    held = (alone and all(map(_is_held, taken))) or (None not in ages and (alone or bool(network.nodes[link].measures)))
     held = held and not any(hears(on, link) for on in others)
     _expect_oldest(policy, network, link, ages)
     if not held or any(policy.steps.index(step) < sent for step in taken):
         raise ProblemError(
             f"{told}, but a node of the policy {policy.kind} that receives packets on the {link} link does more than "
             "to hold their last value, and would have to know how old a packet is; expected a constant delay, "
-            f"{network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
+            f"{network.key(link, 'buffer')}, a policy whose receiver holds (such as actuation = 'hold'), or one "
+            "that is designed for this link and predicts (excess or distributed with actuation = 'model')"
         )
     if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
         raise ProblemError(
