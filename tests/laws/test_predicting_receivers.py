@@ -220,9 +220,9 @@ def test_what_cannot_be_predicted_is_refused_by_name() -> None:
     mission = Cost([[1.0]], [[1.0]], horizon=20)
     asks: tuple[dict[str, Any], ...] = ({"plan": 3}, {"actuation": "model"})
     for asked in asks:
-        with pytest.raises(ProblemError, match=r"inputs are limited.*expected an average cost without limits"):
+        with pytest.raises(ProblemError, match=r"inputs are limited.*expected a cost without a horizon, no limits"):
             design.excess(limited, cost, theta=0.1, network=network, **asked)
-        with pytest.raises(ProblemError, match=r"cost has a horizon.*expected an average cost without limits"):
+        with pytest.raises(ProblemError, match=r"cost has a horizon.*expected a cost without a horizon, no limits"):
             design.excess(plant, mission, theta=0.1, network=network, **asked)
         told = network.changed({"actuator": {"acknowledged": True}})
         with pytest.raises(ProblemError, match="with acknowledgements; expected"):

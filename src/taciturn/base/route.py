@@ -130,12 +130,12 @@ def estimate_to_actuator(plant: Plant, L: Matrix, actuation: str, on: str | None
 
 def _expect_linear(plant: Plant, scheduled: bool, why: str) -> None:
     """Raise an error if the inputs of the next steps are no fixed multiples of the state."""
-    got = "the cost has a horizon or a discount" if scheduled else ""
+    got = "the cost has a horizon" if scheduled else ""
     got = "the inputs are limited (input_limit or input_rate)" if plant.saturation is not None else got
     if got:
         raise ProblemError(
-            f"{why}, and {got}, so the inputs of the next steps are not known in advance; expected an average cost "
-            "without limits, actuation = 'hold' without a plan, or a buffer"
+            f"{why}, and {got}, so the inputs of the next steps are not known in advance; expected a cost without "
+            "a horizon, no limits, actuation = 'hold' without a plan, or a buffer"
         )
 
 
