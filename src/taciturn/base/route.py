@@ -9,7 +9,7 @@ A sensor that decides on the controller's state computes it too. Its packets car
 adopts, since an integral would keep a difference for ever: after a dropped packet, a restart, or rounding.
 
 An actuator that predicts makes up for random delays: with a packet that was sent j steps ago and carries x̂, its model
-goes on from (A + BL)ʲ x̂, as if the packet had come at once. With a plan, a packet carries the inputs L (A + BL)ⁱ x̂ of
+continues from (A + BL)ʲ x̂, as if the packet had come at once. With a plan, a packet carries the inputs L (A + BL)ⁱ x̂ of
 the next steps, of which an actuator that has no model applies the one of the packet's age.
 """
 

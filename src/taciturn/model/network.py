@@ -577,7 +577,7 @@ class Network(Displayed):
         return f"{name} is random" if after is None else f"{name} is {after.text()}, and packets may be lost"
 
     def longest(self, link: str, period: float) -> int:
-        """Return the number of steps after which the latest packet of a link with random delays is heard; else 0."""
+        """Return the number of steps after which the latest packet of a link with random delays arrives; else 0."""
         law = self.random_delay(link, period)
         return 0 if law is None else ceil(max(law.waits))
 
