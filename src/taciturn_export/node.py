@@ -260,8 +260,7 @@ class CNode(Displayed):
 def check_delays(network: Network, period: float) -> None:
     """Raise an error if packets arrive within a period, or later than the buffer of a node can hold."""
     for link in network.late:
-        law = network.random_delay(link, period)
-        most = 0 if law is None else int(np.ceil(law.waits[-1]))
+        most = network.longest(link, period)
         if network.cuts(period) or most >= MOST_WAITING:
             how = "may end within a period" if network.cuts(period) else f"are up to {most} steps"
             raise ProblemError(
@@ -272,8 +271,7 @@ def check_delays(network: Network, period: float) -> None:
 
 def waiting_for(network: Network, period: float, least: int) -> int:
     """Return how many packets of a link a node must be able to store: a power of two, and at least ``least``."""
-    laws = [law for link in network.links if (law := network.random_delay(link, period)) is not None]
-    longest = max((int(np.ceil(law.waits[-1])) for law in laws), default=0)
+    longest = max((network.longest(link, period) for link in network.links), default=0)
     while least <= longest + 1:
         least *= 2
     return least

@@ -861,6 +861,7 @@ def features() -> list[Feature]:
         "slower base": ("every", option(every=2)),
         "gains for losses": ("gains", option(gains="loss-optimal")),
         "retry": ("retry", option(retry=True)),
+        "plan": ("plan", option(plan=2)),
         "separate trigger": ("trigger", option(trigger="separate")),
         "error of the state": ("error", option(error="state")),
         "threshold itself": ("threshold", option(delta=0.2, theta=None)),

@@ -35,15 +35,17 @@ class Certainty:
 
     A rule reads the signals of the step (``estimate``, ``command``, ``candidate``, ``error``, ``deviation``) and
     returns which paths send. Between packets the actuator holds its input, or runs a model from the last estimate
-    sent.
+    sent; or it applies the inputs of a plan that the last packet carried.
     """
 
     link = "actuator"
     sure = True  # whether the sender knows which input is applied, and so which packets change none
 
-    def __init__(self, model: Model, rule: Rule | None, actuation: str = "hold", law: Law | None = None) -> None:
+    def __init__(
+        self, model: Model, rule: Rule | None, actuation: str = "hold", law: Law | None = None, plan: int = 0
+    ) -> None:
         """Design filter and gain; without a rule every sample is sent."""
-        self.model, self.rule, self.actuation = model, rule, actuation
+        self.model, self.rule, self.actuation, self.plan = model, rule, actuation, plan
         self.law = law or Law()
         self.exact: float | None = None
         self.nominal = 0.0  # the exact cost of the linear plant
@@ -180,6 +182,16 @@ class Certainty:
         self.last = self.prior.copy()  # the last estimate sent, or its prediction
         self.memory: dict[str, Array] = {}
         self.sent_command = self.held.copy()
+        self.planned = self.foreseen(self.prior)[: self.plan] if self.plan else []  # inputs of this step and the next
+
+    def foreseen(self, state: Array) -> list[Array]:
+        """Return the inputs of this step and of those of the plan, if every packet arrives."""
+        L = self.at(self.Ls)
+        found = [state @ L.T]
+        for _ in range(self.plan):
+            state = state @ self.model.A.T + found[-1] @ self.model.B.T
+            found.append(state @ L.T)
+        return found
 
     def at(self, values: list[Array]) -> Array:
         """Return the matrix of this step."""
@@ -199,6 +211,7 @@ class Certainty:
             self.estimate = self.prior + (y - self.prior @ model.C.T) @ self.at(self.gains).T
         command = self.estimate @ self.L.T
         candidate = self.last @ self.L.T if self.actuation == "model" else self.wanted
+        candidate = self.planned[0] if self.plan else candidate
         self.command, self.candidate = (np.clip(one, model.low, model.high) for one in (command, candidate))
         changes = reached(model, self.command, self.held) != reached(model, self.candidate, self.held)
         changes |= not self.sure
@@ -212,6 +225,9 @@ class Certainty:
         self.decided(sends)
         self.wanted = np.where(sends[:, None], self.send(), self.candidate)
         applied = reached(model, self.wanted, self.held)
+        if self.plan:
+            later, sent = [*self.planned[1:], self.planned[-1]], self.foreseen(self.estimate)[1:]
+            self.planned = [np.where(sends[:, None], *both) for both in zip(sent, later, strict=True)]
         self.last = np.where(sends[:, None], self.estimate, self.last)
         if self.actuation == "model":
             moved = applied if model.limited else self.last @ self.L.T
@@ -441,6 +457,10 @@ def _policy_of(
     if not keeps and ("controller" in tables or nodes.lossy):
         raise NotModelledError(f"a controller or losses with {kind}")
     options = {"every", "gains", "retry", "link"} & set(policy) if keeps else set()
+    if policy.get("plan"):  # which no option of another base allows
+        options = set[str]()
+        if nodes.lossy:
+            raise NotModelledError("a plan over losses")
     if model.limited and options:
         raise NotModelledError("limits of the inputs for a base of this kind")
     if not nodes.named and ("controller" in tables or nodes.lossy or options):
@@ -465,7 +485,8 @@ def _policy_of(
     actuation = policy.get("actuation", "hold")
     if actuation == "zero":
         raise NotModelledError("zero in silence")
-    return renamed((Certainty(model, rule(policy, base), actuation, law), base), name)
+    plan = policy.get("plan", 0)
+    return renamed((Certainty(model, rule(policy, base), actuation, law, plan), base), name)
 
 
 def renamed(found: tuple[Any, Any], name: str) -> tuple[Any, Any]:

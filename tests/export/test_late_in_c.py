@@ -26,10 +26,16 @@ LAWS: dict[str, tuple[int, Problem]] = {
     "not acknowledged": (3000, pendulum(acknowledged=False)),
     "sets of actuators": (3000, sets()),
     "sets, told late": (3000, told_late()),
+    "predicted": (3000, pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False)),
+    "predicted by a controller": (3000, taciturn.load("inverted-pendulum").changed({
+        "kind": "excess", "link": "sensor", "actuation": "model", "theta": 0.3,
+        "network.sensor_delay": [0.3, 0.1, 0.5], "network.protocol": "udp",
+    })),
+    "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
 }
 
 
-@pytest.mark.parametrize("name", few([*LAWS], 4))
+@pytest.mark.parametrize("name", few([*LAWS], 7))
 def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_path: Path) -> None:
     """Nodes that exchange datagrams, which the exchange holds for the delays of the recorded loop."""
     rows, problem = LAWS[name]

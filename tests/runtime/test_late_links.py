@@ -40,6 +40,9 @@ def cases() -> dict[str, Problem]:
     return {
         "steps": pendulum(),
         "within periods": pendulum({"delta": 0.05}, delay=WITHIN),
+        "predicted": pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False),
+        "predicted within periods": pendulum({"delta": 0.05, "actuation": "model"}, delay=WITHIN, acknowledged=False),
+        "plan": pendulum({"delta": 0.05, "plan": 3}, delay=[0.4, 0.2, 0.3], acknowledged=False),
         "bursts": pendulum({"delta": 0.05}, delay=states, loss=None, burst=BURST, acknowledged=False),
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from runtime.loops import column
 
 import taciturn
 from taciturn import Nodes, ProblemError
+from taciturn.base.given_controller import lqg_observer
 from taciturn.loop import Loop
+from taciturn.lqg.discrete import discretise
 from taciturn.model.network import Network
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
@@ -46,7 +49,32 @@ def loops() -> dict[str, Callable[[], Loop]]:
     def closed(problem: taciturn.Problem) -> Loop:
         return problem.close(problem.design())
 
-    burst, states = {"law": "gilbert-elliott", "to_bad": 0.1, "to_good": 0.3, "loss_good": 0.0, "loss_bad": 0.4}, [[0.9, 0.1], [0.2, 0.6]]
+    burst = {"law": "gilbert-elliott", "to_bad": 0.1, "to_good": 0.3, "loss_good": 0.0, "loss_bad": 0.4}
+    states = [[0.9, 0.1], [0.2, 0.6]]
+    def unheard(policy: dict[str, object], given: bool = False, resting: bool = False, **link: Any) -> Loop:
+        problem = pendulum({"delta": 0.05, **policy}, **{"acknowledged": False, **link})
+        if resting:
+            problem = problem.changed({"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}})
+        if not given:
+            return problem.close(problem.design())
+        kept = lqg_observer("excess", discretise(problem.plant, problem.cost, 0.02))
+        design = taciturn.design.excess(
+            problem.plant, problem.cost, delta=0.05, period=0.02, actuation="model", controller=kept,
+            network=problem.network,
+        )  # fmt: skip
+        return taciturn.close(problem.plant, design, problem.network)
+
+    def heard(changes: dict[str, object]) -> Loop:
+        late = {"network.sensor_delay": [0.3, 0.1, 0.4, 0.1], "network.sensor_loss": 0.1, "network.protocol": "udp"}
+        policy = {"kind": "excess", "link": "sensor", "actuation": "model", "theta": 0.3}
+        problem = taciturn.load("inverted-pendulum").changed({**policy, **late, **changes})
+        return problem.close(problem.design())
+
+    def predicting(laws: dict[str, dict[str, object]]) -> Loop:
+        changes = {f"links.{link}.{key}": one for link, law in laws.items() for key, one in law.items()}
+        problem = taciturn.load("quadruple-tank").changed(changes)
+        return problem.close(problem.design())
+
     early, late = {"delay": {"seconds": [0.5, 1.5], "probability": [0.5, 0.4]}}, {"seconds": 1.2}
     return {
         "acknowledged": acknowledged,
@@ -62,6 +90,23 @@ def loops() -> dict[str, Callable[[], Loop]]:
         })),
         "periodic": lambda: held({"kind": "periodic", "theta": None, "every": 1}, WITHIN),
         "lqg": lambda: held({}, [0.5, 0.2, 0.3]),
+        "predicted": lambda: unheard({"actuation": "model"}),
+        "predicted, within periods and rounded": lambda: unheard(
+            {"actuation": "model"}, delay=WITHIN, payload="float32"
+        ),
+        "predicted with a given controller": lambda: unheard({"actuation": "model"}, given=True),
+        "predicted by a controller": lambda: heard({}),
+        "predicted by a controller at an operating point": lambda: heard(
+            {"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}, "network.payload": "float32"}
+        ),
+        "plan": lambda: unheard({"plan": 3}, delay=[0.3, 0.1, 0.1, 0.1, 0.3]),
+        "plan, within periods": lambda: unheard({"plan": 1}, delay=WITHIN),
+        "plan at an operating point": lambda: unheard({"plan": 2}, resting=True),
+        "predicted at an operating point": lambda: unheard({"actuation": "model"}, resting=True),
+        "two actuators that predict": lambda: predicting({
+            "pump-1": {"delay": {"seconds": [0.3, 2.5], "probability": [0.5, 0.4]}},
+            "pump-2": {"delay": [0.5, 0.2, 0.2]},
+        }),
         "sensors and actuators": lambda: tanks({
             "level-2": early, "pump-1": {"loss": 0.1, "delay": [0.3, 0.2, 0.1, 0.1]}, "level-1": {"delay": [0.5, 0.5]}
         }),

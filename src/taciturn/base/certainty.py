@@ -31,7 +31,7 @@ from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, radius
 from taciturn.base.filter import CLOCK, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
 from taciturn.base.nominal import Nominal
-from taciturn.base.route import estimate_to_actuator
+from taciturn.base.route import BY_PACKETS, Ahead, estimate_to_actuator
 from taciturn.errors import ProblemError
 from taciturn.lqg.cache import MOST_PROBLEMS
 from taciturn.lqg.discrete import Discrete
@@ -247,12 +247,13 @@ def control_steps(
     *,
     before: tuple[Step, ...] = (),
     after: tuple[Step, ...] = (),
+    ahead: Ahead = BY_PACKETS,
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
     """Return the policy steps of filter, trigger and actuator, and the initial values of all signals that they
     store.
     """
     on, decide = (None, ()) if trigger is None else (SEND, (Decide("controller", SEND, trigger),))
-    route = estimate_to_actuator(plant, L, actuation, on)
+    route = estimate_to_actuator(plant, L, actuation, on, ahead)
     deviates = trigger is not None and DEVIATION in trigger.reads
     steps = route.steps((*before, *decide), (*after, *estimation.predict), deviates=deviates)
     return (*estimation.correct, *steps), {**estimation.initial, **route.initial}

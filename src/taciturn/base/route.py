@@ -7,13 +7,17 @@ silence, the receiver uses a *candidate* instead, its last value or the predicti
 knows the receiver's candidate, because every packet arrives or because the network acknowledges those that arrive.
 A sensor that decides on the controller's state computes it too. Its packets carry this state, which the controller
 adopts, since an integral would keep a difference for ever: after a dropped packet, a restart, or rounding.
+
+An actuator that predicts makes up for random delays: with a packet that was sent j steps ago and carries x̂, its model
+continues from (A + BL)ʲ x̂, as if the packet had come at once. With a plan, a packet carries the inputs L (A + BL)ⁱ x̂ of
+the next steps, of which an actuator that has no model applies the one of the packet's age.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,7 +35,20 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CANDIDATE = "candidate"
+COMMANDS, USES = "past commands", "past values"  # of a controller that hears packets late, the newest ones first
+PLAN, PLANNED, AHEAD = "plan", "planned", "ahead"  # inputs of the next steps: in a packet, copied, at the actuator
 Actuation: TypeAlias = Literal["hold", "model", "zero"]
+PREDICTED = "delays are random and actuation is 'model'"
+
+
+class Ahead(NamedTuple):
+    """How far an actuator looks ahead of what it has received."""
+
+    oldest: int = 0  # largest age in steps of a packet, if packets are delayed at random
+    plan: int = 0  # number of inputs of later steps in a packet; after them the actuator holds the last one
+
+
+BY_PACKETS = Ahead()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,28 +96,109 @@ class GivenRoute(Route):
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
 
-def estimate_to_actuator(plant: Plant, L: Matrix, actuation: str, on: str | None) -> Route:
+def estimate_to_actuator(plant: Plant, L: Matrix, actuation: str, on: str | None, ahead: Ahead = BY_PACKETS) -> Route:
     """Return the policy steps of a link that carries the input L x̂. The actuator holds the input, or predicts it.
 
     ``on`` is the decision to send; None: every sample is sent.
     """
+    if ahead.plan or (ahead.oldest and actuation == "model"):
+        _expect_linear(plant, isinstance(L, Scheduled), "packets carry a plan" if ahead.plan else PREDICTED)
     command = Assign("controller", "command", {ESTIMATE: L})
     unit = np.eye(plant.inputs)
     error = {CANDIDATE: unit, "command": -unit}
     if choice("actuation", actuation, ("hold", "model")) == "hold":
         memory = {ESTIMATE: np.eye(plant.states)}
         noted = (Assign("controller", "sent", ({"sent": memory[ESTIMATE]}, memory), on),) if on else ()
+        if ahead.plan and not isinstance(L, Scheduled):
+            plans = _Plans(plant, L, ahead.plan, ahead.oldest)
+            initial: dict[str, Array] = {AHEAD: plans.begun, PLANNED: plans.begun}
+            choices, deviation = (command, *plans.choice), _deviation(plant, "sent")
+            return Route("controller", choices, error, plans.sent(on), initial, deviation, noted)
         candidate, sent = _held_input(plant.inputs, unit, on, on)
         return Route("controller", (command, candidate), error, sent, {}, _deviation(plant, "sent"), noted)
     closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
     moved, followed = {"model": closed}, {"copy": closed}
     if plant.saturation is not None:  # the input that is applied differs from the command
         moved, followed = {"model": plant.A, "input": plant.B}, {"copy": plant.A, HELD: plant.B}
-    copies = _Copies.of({ESTIMATE: np.eye(plant.states)}, L, {ESTIMATE: L}, (moved, followed), on, plant.mean)
+    packet = _Packet({ESTIMATE: np.eye(plant.states)}, L, {ESTIMATE: L}, closed, ahead.oldest)
+    copies = _Copies.of(packet, (moved, followed), on, plant.mean)
     candidate, stored = Assign("controller", CANDIDATE, {"prediction": L}), _stored(plant.inputs, on)
     copied, predicted = copies.decider
     sent = (Send("controller", "actuator", (ESTIMATE,), on), *copies.receiver, copied, stored, predicted)
     return Route("controller", (command, candidate), error, sent, copies.initial, _deviation(plant, "prediction"))
+
+
+def _expect_linear(plant: Plant, scheduled: bool, why: str) -> None:
+    """Raise an error if the inputs of the next steps are no fixed multiples of the state."""
+    got = "the cost has a horizon" if scheduled else ""
+    got = "the inputs are limited (input_limit or input_rate)" if plant.saturation is not None else got
+    if got:
+        raise ProblemError(
+            f"{why}, and {got}, so the inputs of the next steps are not known in advance; expected a cost without "
+            "a horizon, no limits, actuation = 'hold' without a plan, or a buffer"
+        )
+
+
+def heard_on(link: str, oldest: int) -> Received:
+    """Return the condition that a packet arrives, by its age if packets are up to ``oldest`` > 0 steps old."""
+    return Received(link, oldest or None)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Plans(Displayed):
+    """The steps of packets with the inputs of this and the next steps, i = 0, …, N: L (A + BL)ⁱ x̂."""
+
+    plant: Plant
+    L: Array
+    length: int  # N
+    oldest: int  # largest age in steps of a packet
+
+    @property
+    def _rows(self) -> list[Array]:
+        closed = self.plant.A + self.plant.B @ self.L
+        return [self.L @ np.linalg.matrix_power(closed, i) for i in range(self.length + 1)]
+
+    @property
+    def begun(self) -> Array:
+        """The inputs before the first packet, those of the mean of the initial state, (N m,)."""
+        return np.concatenate([row @ self.plant.mean for row in self._rows[:-1]])
+
+    @property
+    def _shift(self) -> Array:
+        """The matrix by which each input of a plan takes the place of the one before it; the last one stays."""
+        m, last = self.plant.inputs, (self.length - 1) * self.plant.inputs
+        return np.eye(self.length * m)[[*range(m, self.length * m), *range(last, self.length * m)]]
+
+    @property
+    def _first(self) -> Array:
+        """The matrix that selects the first input of a plan."""
+        return np.eye(self.plant.inputs, self.length * self.plant.inputs)
+
+    @property
+    def choice(self) -> tuple[Step, ...]:
+        """The steps that compute the plan, and the input of the actuator in silence."""
+        return (
+            Assign("controller", PLAN, {ESTIMATE: np.vstack(self._rows[1:])}),
+            Assign("controller", CANDIDATE, {PLANNED: self._first}),
+        )
+
+    def sent(self, on: str | None) -> tuple[Step, ...]:
+        """Return the steps of the packet, of the actuator that applies its inputs, and of the copy of the sender."""
+        m, whole = self.plant.inputs, np.eye(self.length * self.plant.inputs)
+        heard, powers = heard_on("actuator", self.oldest), [whole]
+        for _ in range(self.oldest):
+            powers.append(self._shift @ powers[-1])
+        late = ({PLAN: self._first @ power} for power in powers[:-1])
+        applied = ({AHEAD: self._first}, {"command": np.eye(m)}, *late)
+        return (
+            Send("controller", "actuator", ("command", PLAN), on),
+            Assign("actuator", "input", applied, heard),
+            Assign("actuator", AHEAD, ({AHEAD: self._shift}, *({PLAN: power} for power in powers)), heard),
+            _stored(m, on),
+            Assign("controller", PLANNED, ({PLANNED: self._shift}, {PLAN: whole}), on)
+            if on
+            else Assign("controller", PLANNED, {PLAN: whole}),
+        )
 
 
 def _held_input(
@@ -135,20 +233,25 @@ def route_over(
     start: Array | None = None,
     measured: Mapping[str, Array] | None = None,
     follows: bool = True,
+    oldest: int = 0,
 ) -> GivenRoute:
-    """Return the policy steps of a link of a given controller. ``measured`` is the measurement as a sum of signals."""
+    """Return the policy steps of a link of a given controller. ``measured`` is the measurement as a sum of signals.
+
+    A receiver that predicts hears packets of up to ``oldest`` steps.
+    """
     start = np.zeros(len(controller.A)) if start is None else start
     at = "sensor" if link == "sensor" else "controller"
     measured = outputs_of(problem.plant, at) if measured is None else measured
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":
-        return _over_actuator_link(problem, controller, actuation, lossy, copied, start, measured)
+        return _over_actuator_link(problem, controller, actuation, lossy, copied, start, measured, oldest)
     if actuation == "zero":
         raise ProblemError(
             "actuation is 'zero', but the policy sends its packets on the sensor link; expected actuation = 'hold' or "
             "'model'"
         )
-    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, measured, follows)
+    model = actuation == "model"
+    return _over_sensor_link(problem, controller, model, lossy, copied, start, measured, follows, oldest * model)
 
 
 def _begins(node: str, measured: Mapping[str, Array], registers: int) -> tuple[Step, ...]:
@@ -165,6 +268,7 @@ def _over_actuator_link(
     copied: Filter | None,
     start: Array,
     measured: Mapping[str, Array],
+    oldest: int,
 ) -> GivenRoute:
     """Return the route of inputs; an actuator that predicts simulates plant and controller in silence."""
     base, m, k = actuator_base(problem, controller), problem.plant.inputs, len(controller.A)
@@ -174,12 +278,15 @@ def _over_actuator_link(
     moved = {REGISTER: controller.A, MEASURED: controller.B, HELD: controller.E}
     error, begun, initial = {CANDIDATE: unit, "command": -unit}, np.zeros(m), {NEXT: start} if k else {}
     if actuation == "model":
+        if oldest:
+            _expect_linear(problem.plant, False, PREDICTED)
         plant, whole = problem.plant, np.eye(len(base.Phi))
         n = plant.states
         packet = nonempty({ESTIMATE: whole[:, :n], REGISTER: whole[:, n : n + k], MEASURED: whole[:, n + k :]})
         follows = {"model": base.Phi, "input": base.Gamma}, {"copy": base.Phi, HELD: base.Gamma}
         first = np.concatenate([plant.mean, start, plant.C @ plant.mean])
-        copies = _Copies.of(packet, base.K, {"command": unit}, follows, on, first)
+        whole_packet = _Packet(packet, base.K, {"command": unit}, base.Phi + base.Gamma @ base.K, oldest)
+        copies = _Copies.of(whole_packet, follows, on, first)
         candidate = Assign(at, CANDIDATE, {"prediction": base.K})
         sent = (Send(at, "actuator", ("command", *packet), SEND), *copies.receiver, _stored(m, on), *copies.decider)
         initial |= copies.initial
@@ -214,10 +321,12 @@ def _over_sensor_link(
     start: Array,
     measured: Mapping[str, Array],
     follows: bool,
+    oldest: int,
 ) -> GivenRoute:
     """Return the route of measurements; the sensor has a copy of the controller, if it ``follows`` it.
 
     In silence, a controller that predicts uses C x̃, with the state x̃ of a model that starts at the last sent estimate.
+    It moves an older packet to the present with its own inputs since then (``_Past``).
     """
     plant, c = problem.plant, controller
     p, state, at = plant.outputs, np.eye(plant.states), "sensor"
@@ -226,9 +335,12 @@ def _over_sensor_link(
     known = ({CANDIDATE: unit}, {MEASURED: unit})
     silent = {"forecast": plant.C} if model else {"used": unit}
     packet = {MEASURED: unit, **({ESTIMATE: state} if model else {}), **({REGISTER: own} if k else {})}
-    adopted = Assign("controller", "state", ({"state": own}, {REGISTER: own}), Received("sensor")) if k else None
+    if oldest:
+        _expect_linear(plant, False, PREDICTED)
+    past, heard = _Past(plant, c, oldest), heard_on("sensor", oldest)
+    adopted = Assign("controller", "state", ({"state": own}, *past.states), heard) if k else None
     receiver: tuple[Step, ...] = (
-        Assign("controller", "used", (silent, {MEASURED: unit}), Received("sensor")),
+        Assign("controller", "used", (silent, {MEASURED: unit}, *past.outputs), heard),
         *((adopted,) if adopted else ()),
         Assign("controller", "command", nonempty({"state": c.C, "used": c.D})),
         Assign("actuator", "input", {"command": np.eye(plant.inputs)}),
@@ -243,10 +355,10 @@ def _over_sensor_link(
     begun = plant.C @ plant.mean
     first = {"prediction": plant.mean, "forecast": plant.mean} if model else {"known": begun, "used": begun}
     if model:
-        followed = ({"forecast": state}, {ESTIMATE: state})
         receiver += (
-            Assign("controller", "model", followed, Received("sensor")),
+            Assign("controller", "model", ({"forecast": state}, *past.models), heard),
             Assign("controller", "forecast", {"model": plant.A, "command": plant.B}),
+            *past.kept,
         )
         copy += (
             Assign(at, "copy", ({"prediction": state}, {ESTIMATE: state}), on),
@@ -269,6 +381,66 @@ def _over_sensor_link(
         begun=begun,
         registers=k,
     )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Past(Displayed):
+    """How a controller moves a packet of the sensor to the present, j steps after it was sent.
+
+    With the commands u and the values ν that it has used since then,
+
+        x̃_k = Aʲ x̂_{k−j} + Σ_{i=1}^{j} Aⁱ⁻¹ B u_{k−i},
+        x^c_k = A_cʲ x^c_{k−j} + Σ_{i=1}^{j} A_cⁱ⁻¹ (B_c ν_{k−i} + E_c u_{k−i}),
+
+    where ν_{k−j} is the measurement in the packet. In place of a measurement for step k, it uses C x̃_k.
+    """
+
+    plant: Plant
+    controller: Controller
+    oldest: int  # largest age in steps of a packet
+
+    @property
+    def models(self) -> list[Mapping[str, Array]]:
+        """The state of the plant's model, by the age of the packet."""
+        A, B, found = self.plant.A, self.plant.B, [dict[str, Array]({ESTIMATE: np.eye(self.plant.states)})]
+        for age in range(1, self.oldest + 1):
+            since = self._since(A, B, range(age))
+            found.append({ESTIMATE: np.linalg.matrix_power(A, age), COMMANDS: since})
+        return [*found]
+
+    @property
+    def outputs(self) -> list[Mapping[str, Array]]:
+        """The value that the controller uses, by the age of a packet that is not of this step."""
+        return [{name: self.plant.C @ matrix for name, matrix in one.items()} for one in self.models[1:]]
+
+    @property
+    def states(self) -> list[Mapping[str, Array]]:
+        """The state of the controller, by the age of the packet."""
+        c = self.controller
+        found = [dict[str, Array]({REGISTER: np.eye(len(c.A))})]
+        for age in range(1, self.oldest + 1):
+            first = np.linalg.matrix_power(c.A, age - 1)
+            used, commands = self._since(c.A, c.B, range(age - 1)), self._since(c.A, c.E, range(age))
+            found.append({REGISTER: first @ c.A, MEASURED: first @ c.B, USES: used, COMMANDS: commands})
+        return [*found]
+
+    @property
+    def kept(self) -> tuple[Step, ...]:
+        """The steps by which the controller stores its last commands, and the values that it used."""
+        sizes = {COMMANDS: ("command", self.plant.inputs), USES: ("used", self.plant.outputs)}
+        names = [COMMANDS, *([USES] if len(self.controller.A) else [])] if self.oldest else []
+        found = list[Step]()
+        for name, (one, size) in ((name, sizes[name]) for name in names):
+            whole = np.eye(self.oldest * size)
+            found.append(Assign("controller", name, {name: np.eye(len(whole), k=-size), one: whole[:, :size]}))
+        return tuple(found)
+
+    def _since(self, A: Array, B: Array, steps: range) -> Array:
+        """Return the matrix of past values, newest first: Aⁱ B for each of the steps, and 0 for those before."""
+        found = np.zeros((len(A), self.oldest * B.shape[1]))
+        for i in steps:
+            found[:, i * B.shape[1] : (i + 1) * B.shape[1]] = np.linalg.matrix_power(A, i) @ B
+        return found
 
 
 def actuator_base(problem: Discrete, controller: Controller) -> Base:
@@ -360,6 +532,37 @@ def _noise(problem: Discrete, registers: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class _Packet(Displayed):
+    """A packet with the state of a model, of which a receiver that predicts makes input and state by its age."""
+
+    terms: Mapping[str, Array]  # the state as a sum of the signals in the packet
+    K: Matrix  # gain of the input
+    sent: Mapping[str, Matrix]  # the input as a sum of the signals in a packet that has just been sent
+    closed: Matrix  # matrix of the model with this input
+    oldest: int  # largest age in steps of a packet
+
+    @property
+    def states(self) -> list[Mapping[str, Array]]:
+        """The state of the model, by the age of the packet."""
+        found = [self.terms]
+        for _ in range(self.oldest):
+            found.append({name: _fixed(self.closed) @ matrix for name, matrix in found[-1].items()})
+        return found
+
+    @property
+    def inputs(self) -> list[Mapping[str, Matrix]]:
+        """The input, by the age of the packet."""
+        late = self.states[1:]
+        return [self.sent, *({name: _fixed(self.K) @ matrix for name, matrix in one.items()} for one in late)]
+
+
+def _fixed(matrix: Matrix) -> Array:
+    """Return a matrix that is the same in every step, as it is for packets with an age."""
+    assert not isinstance(matrix, Scheduled)
+    return matrix
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class _Copies(Displayed):
     """The steps of an actuator that predicts its input between packets, and of the node that decides, which copies it.
 
@@ -372,9 +575,7 @@ class _Copies(Displayed):
 
     @staticmethod
     def of(
-        packet: Mapping[str, Array],
-        K: Matrix,
-        sent: Mapping[str, Matrix],
+        packet: _Packet,
         moved: tuple[Mapping[str, Matrix], Mapping[str, Matrix]],
         known: Condition | str | None,
         begun: Array,
@@ -382,16 +583,17 @@ class _Copies(Displayed):
         """Return the policy steps by which both ends of a link update their copies of a value, by a model and by
         packets.
         """
-        unit = np.eye(len(begun))
-        silent = ({"prediction": unit}, packet)
+        unit, heard, terms = np.eye(len(begun)), heard_on("actuator", packet.oldest), packet.terms
         return _Copies(
             (
-                Assign("actuator", "input", ({"forecast": K}, sent), Received("actuator")),
-                Assign("actuator", "model", ({"forecast": unit}, packet), Received("actuator")),
+                Assign("actuator", "input", ({"forecast": packet.K}, *packet.inputs), heard),
+                Assign("actuator", "model", ({"forecast": unit}, *packet.states), heard),
                 Assign("actuator", "forecast", moved[0]),
             ),
             (
-                Assign("controller", "copy", silent, known) if known else Assign("controller", "copy", packet),
+                Assign("controller", "copy", ({"prediction": unit}, terms), known)
+                if known
+                else Assign("controller", "copy", terms),
                 Assign("controller", "prediction", moved[1]),
             ),
             {"prediction": begun, "forecast": begun},

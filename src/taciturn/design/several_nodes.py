@@ -334,9 +334,17 @@ class InputSteps(Displayed):
                 Assign(node, signal, ({signal: unit}, command), Received(node)),
             ), (Assign(at, f"held_{node}", tuple(command if sent else silent for sent in sends), told),)
         model, copy = f"model_{node}", f"held_model_{node}"
+        closed, oldest = closed_loop(self.certainty), self.network.longest(node, self.certainty.problem.tick)
+        if oldest and self.certainty.problem.plant.saturation is not None:
+            raise ProblemError(
+                f"{self.network.lateness(node)}, actuation is 'model', and the inputs are limited (input_limit or "
+                "input_rate), so the inputs of the next steps are not known in advance; expected no limits, actuation "
+                "= 'hold', or a buffer"
+            )
+        by_age = tuple({STATE: np.linalg.matrix_power(closed, age)} for age in range(oldest + 1))
         return (
             Send(at, node, (STATE,), on, labels),
-            Assign(node, model, (self._moved(node, model, signal), {STATE: n}), Received(node)),
+            Assign(node, model, (self._moved(node, model, signal), *by_age), Received(node, oldest or None)),
             Assign(node, signal, {model: L}),
         ), (
             Assign(at, copy, tuple({STATE: n} if sent else {copy: n} for sent in sends), told),

@@ -58,7 +58,16 @@ from taciturn.base.gains import price_control
 from taciturn.base.given_controller import GivenLoop, SameControl, attempts_of, cost_of_base, lqg_observer
 from taciturn.base.limited_value import COST, LimitedSilence
 from taciturn.base.nominal import Nominal
-from taciturn.base.route import CANDIDATE, MEASURED, REGISTER, GivenRoute, nonempty, route_over
+from taciturn.base.route import (
+    BY_PACKETS,
+    CANDIDATE,
+    MEASURED,
+    REGISTER,
+    Ahead,
+    GivenRoute,
+    nonempty,
+    route_over,
+)
 from taciturn.base.route import Actuation as LoopActuation
 from taciturn.base.value import Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_state
@@ -131,7 +140,8 @@ def send_for_given(
         )
     start = loop.point.start
     measured = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
-    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, start, measured)
+    oldest, sent_on = network.longest(link, problem.tick), steady if copied else None
+    route = route_over(link, problem, controller, actuation, lossy, sent_on, start, measured, oldest=oldest)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
     attempts = attempts_of(problem, route.base, time.pattern, chain, network.lost(link))
@@ -225,7 +235,12 @@ def send_for_given(
 
 
 def total_excess(
-    kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float], unacknowledged: bool = False
+    kind: str,
+    problem: Discrete,
+    actuation: Actuation,
+    price_at: Callable[[float], float],
+    unacknowledged: bool = False,
+    ahead: Ahead = BY_PACKETS,
 ) -> Policy:
     """Return the policy that sends an input iff e'He > δ, for a cost with a horizon or a discount."""
     prices, counter, plant = price_control(problem), StepCounter.of(problem, 1), problem.plant
@@ -237,7 +252,7 @@ def total_excess(
     price = price_at(cost / problem.ticks)
     estimation = estimate_state(plant, None, gain=counter.gains)
     rule = Trigger({"silent": Form(("error",), by_clock(prices.H)), SEND: Form(constant=price)})
-    steps, initial = control_steps(plant, estimation, by_clock(prices.L), actuation, rule)
+    steps, initial = control_steps(plant, estimation, by_clock(prices.L), actuation, rule, ahead=ahead)
     claims = Theory(
         guarantee=bound_by_attempts(problem, cost, price, 1, False),
         identity=completed_square(problem.per_unit(cost), prices.square()),

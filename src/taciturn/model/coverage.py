@@ -112,9 +112,9 @@ BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
-# random delays of packets, of which a sender with acknowledgements learns the time of arrival
+# random delays of packets, of which a sender with acknowledgements learns the time of arrival, and a receiver the age
 LATE = names("DelayLaw", "waits odds in_seconds sequence block") | names("Acted", "link age piece")
-LATE |= {"links.delay", "links.acknowledgement_delay"}
+LATE |= {"links.delay", "links.acknowledgement_delay", "Received.oldest"}
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
 LINEAR_LOOP = LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS

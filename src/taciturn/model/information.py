@@ -3,7 +3,7 @@
 A policy is a list of steps, each at a node. Nodes at one site share all signals. A node can read
 
 * the signals that are assigned at its site, and the measurements of the nodes there;
-* in the branch for a received packet, the signals in this packet;
+* in the branches for a received packet, the signals in this packet;
 * the outcome of a decision of its site, of a reception on a link to its site, and of an acknowledgement of a packet
   that its site has sent, if the network sends acknowledgements;
 * a step counter that all nodes share, or a location of its own site.
@@ -16,12 +16,13 @@ no packet is received are refused, and so is a rounding without effect, since th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import TypeAlias
 
 import numpy as np
 
 from taciturn._arrays import instance
+from taciturn._text import number_of
 from taciturn.errors import InformationError, ProblemError
 from taciturn.model.coverage import INTERVALS, LATE, STEPS, TRACKING, Coverage
 from taciturn.model.network import PROTOCOL, TOO_LATE, Network
@@ -41,6 +42,7 @@ from taciturn.model.steps import (
     Send,
     Step,
     assigned,
+    hears,
     read,
 )
 from taciturn.model.trigger import Form, Scheduled
@@ -95,11 +97,11 @@ def check_network(policy: Policy, network: Network) -> None:
 
 
 def expect_held(policy: Policy, network: Network, link: str) -> None:
-    """Raise an error unless packets of a link with random delays only replace a value that the receiver holds."""
+    """Raise an error unless the receiver of a link with random delays holds values, or knows the age of each packet."""
     told = network.lateness(link)
     others = [location.on for location in policy.locations]
     others += [step.on for step in policy.steps if isinstance(step, Evaluate)]
-    taken = [step for step in policy.steps if isinstance(step, Assign) and step.on == Received(link)]
+    taken = [step for step in policy.steps if isinstance(step, Assign) and hears(step.on, link)]
     sent = next((i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link), None)
     if sent is None or link not in links_of(policy):
         raise ProblemError(
@@ -107,18 +109,34 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
             f"a constant delay without losses, or {network.key(link, 'buffer')}, with which samples or inputs are late"
         )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
-    held = all(_is_held(step) and by.count(step.signal) == 1 for step in taken) and Received(link) not in others
+    ages = {step.on.oldest for step in taken if isinstance(step.on, Received)}
+    alone = all(by.count(step.signal) == 1 for step in taken)
+    held = (alone and all(map(_is_held, taken))) or (None not in ages and (alone or bool(network.nodes[link].measures)))
+    held = held and not any(hears(on, link) for on in others)
+    _expect_oldest(policy, network, link, ages)
     if not held or any(policy.steps.index(step) < sent for step in taken):
         raise ProblemError(
             f"{told}, but a node of the policy {policy.kind} that receives packets on the {link} link does more than "
             "to hold their last value, and would have to know how old a packet is; expected a constant delay, "
-            f"{network.key(link, 'buffer')}, or a policy whose receiver holds (such as actuation = 'hold')"
+            f"{network.key(link, 'buffer')}, a policy whose receiver holds (such as actuation = 'hold'), or one "
+            "that is designed for this link and predicts (excess or distributed with actuation = 'model')"
         )
     if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
         raise ProblemError(
             f"{told}, but the policy {policy.kind} needs to know at the end of a step whether its packet on the {link} "
             "link has arrived; expected no delay, the policy kind excess with actuation = 'hold', or a link without "
             f"acknowledgements ({network.key(link, 'acknowledged')})"
+        )
+
+
+def _expect_oldest(policy: Policy, network: Network, link: str, ages: Set[int | None]) -> None:
+    """Raise an error if packets may be older than the steps of a policy tell apart."""
+    longest = network.longest(link, policy.tick)
+    for oldest in sorted(age for age in ages if age is not None and age < longest):
+        raise ProblemError(
+            f"{network.key(link, 'delay')} is up to {number_of(longest, 'step')}, but the receiver of this "
+            f"{policy.kind} policy was designed for at most {oldest}; expected a shorter delay, or a policy that is "
+            "designed for this network"
         )
 
 
@@ -206,7 +224,7 @@ class _Knowledge:
         on = None if isinstance(step, Apply | Decide) else step.on
         self.check_condition(on, step.at)
         for outcome, (names, weights) in enumerate(_reads(step)):
-            arrived = on.link if isinstance(on, Received) and outcome == 1 else None
+            arrived = on.link if isinstance(on, Received) and outcome >= 1 else None
             for name in names:
                 self._check_read(name, step.at, arrived)
             for weight in weights:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 from numbers import Integral
 from typing import Any, Literal, cast
 
@@ -587,6 +588,11 @@ class Network(Displayed):
         name = self.key(link, "delay" if law.buffer is None else "buffer")
         after = law.buffer or (None if law.delay is None else law.delay.constant)
         return f"{name} is random" if after is None else f"{name} is {after.text()}, and packets may be lost"
+
+    def longest(self, link: str, period: float) -> int:
+        """Return the number of steps after which the latest packet of a link with random delays arrives; else 0."""
+        law = self.random_delay(link, period)
+        return 0 if law is None else ceil(max(law.waits))
 
     @property
     def late(self) -> tuple[str, ...]:

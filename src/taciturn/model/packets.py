@@ -31,6 +31,7 @@ POINTS = 3  # number of points at which a function is evaluated for the fingerpr
 LATER: Mapping[str, object] = {
     "Trigger.limit": None,
     "Trigger.excluded": {},
+    "Received.oldest": None,
 }  # fields of later versions, which fingerprints omit if so
 DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
 

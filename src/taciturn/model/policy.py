@@ -56,6 +56,7 @@ from taciturn.model.steps import (
     Terms,
     assigned,
     fixed_choices,
+    hears,
     joint_cycle,
     read,
     site_of,
@@ -252,7 +253,7 @@ class Policy(Displayed):
 
     def holds(self, link: str) -> bool:
         """Return whether the receiver of a link uses the last received value as long as no new packet arrives."""
-        received = [step for step in self.steps if isinstance(step, Assign) and step.on == Received(link)]
+        received = [step for step in self.steps if isinstance(step, Assign) and hears(step.on, link)]
         kept = [step.branches[0].get(step.signal) for step in received if len(step.branches[0]) == 1]
         return any(own is not None and _is_identity(own) for own in kept)
 
@@ -278,7 +279,7 @@ class Policy(Displayed):
     def outcomes(self, condition: Condition) -> int:
         """Return how many outcomes a condition can have."""
         if not isinstance(condition, str):
-            return 2
+            return condition.outcomes if isinstance(condition, Received) else 2
         if condition not in self.decisions:
             raise ProblemError(
                 f"the condition {condition!r} is not a decision; expected one of the decisions {list(self.decisions)}"

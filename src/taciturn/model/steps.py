@@ -34,9 +34,19 @@ ONE = "one"
 
 @dataclass(frozen=True, repr=False)
 class Received(Displayed):
-    """The condition "a packet arrived on this link", which the receiving node can check."""
+    """The condition "a packet arrived on this link", which the receiving node can check.
+
+    With ``oldest``, the outcomes are the ages of the newest packet that arrives: none, sent in this step, sent one step
+    ago, …, sent ``oldest`` steps ago. The signals of the packet have the values with which it was sent.
+    """
 
     link: str
+    oldest: int | None = None  # largest age in steps that the receiver tells apart; None: it does not know the age
+
+    @property
+    def outcomes(self) -> int:
+        """Number of outcomes of the condition."""
+        return 2 + (self.oldest or 0)
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,7 +80,8 @@ class Assign(Displayed):
     Args:
         at: the node that computes the sum.
         signal: name of the assigned signal.
-        branches: a mapping {signal: matrix}, or one per outcome: (not arrived, arrived), or one for each label.
+        branches: a mapping {signal: matrix}, or one per outcome: (not arrived, arrived), one for each age of a packet
+            after that of no packet, or one for each label.
         on: the condition that selects the branch.
     """
 
@@ -228,6 +239,11 @@ def site_of(node: str, sites: Sequence[frozenset[str]]) -> frozenset[str]:
 def condition_of(step: Step) -> Condition | None:
     """Return the condition that selects a branch of a policy step; None if the step has only one."""
     return step.on if isinstance(step, Assign | Evaluate) else None
+
+
+def hears(on: Condition | None, link: str) -> bool:
+    """Return whether a condition is that a packet arrives on a link."""
+    return isinstance(on, Received) and on.link == link
 
 
 def assigned(step: Step) -> Mapping[str, int]:

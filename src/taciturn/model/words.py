@@ -32,6 +32,7 @@ VOCABULARY: Mapping[str, tuple[str, str]] = {  # symbol and words by name, witho
     "forecast": ("x̃", "prediction of the state"),
     "sent": ("x̄", "last sent state estimate"),
     "command": ("u", "computed input"),
+    "plan": ("ū", "inputs of the next steps"),
     "candidate": ("û", "input without a packet"),
     "silent": ("û", "input without a packet"),
     "held": ("û", "applied input"),

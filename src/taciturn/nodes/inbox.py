@@ -21,8 +21,8 @@ The counter `received` is the sum of all other counters and the number of waitin
 decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
 
 On a link with random delays, a packet has the number of pieces of a period after which it arrives (``Packet.late``), and
-so has its acknowledgement. The step that hears it takes for each piece the newest packet that has arrived, and
-acknowledges all packets that are newer than those of earlier steps.
+so has its acknowledgement. The step that hears it takes for each piece the newest packet that has arrived, with its
+age, and acknowledges all packets that are newer than those of earlier steps.
 """  # noqa: E501  # the rows of a ta"""
 
 from __future__ import annotations
@@ -286,7 +286,7 @@ class Inbox:
             here = [one for one in newer if one.late % stream.pieces <= piece]
             best = max(here, key=lambda one: one.tick, default=None)
             used |= set[int]() if best is None else {best.tick}
-            arrived = (0.0,) * size if best is None else (1.0, *best.values)
+            arrived = (0.0,) * size if best is None else (1.0 + wanted - best.tick, *best.values)
             inputs[stream.at + piece * size : stream.at + (piece + 1) * size] = arrived
         self.counters["used"] += len(used)
         self.counters["superseded"] += len(come) - len(used)

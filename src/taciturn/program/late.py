@@ -17,11 +17,12 @@ acknowledgements, what arrived in the step before.
 
 A node that runs apart from the others has no ring: its inputs are the packets that have arrived, for each piece the
 newest one (``Heard``), so that its program selects the same values. Its inbox drops the older ones (``nodes.inbox``).
+The flag of such a packet is 1 plus its age in steps, so that a receiver may use each age in its own way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -36,6 +37,7 @@ from taciturn.program.ir import Builder, Truth
 from taciturn.program.ops import Entry, Name
 
 Values: TypeAlias = list[int]  # operations that compute the entries of a signal
+Sum: TypeAlias = Callable[[Mapping[str, Values]], Values]  # a sum of the signals in a packet
 NEVER = 1e6  # of a packet that does not arrive
 
 
@@ -131,9 +133,15 @@ class Ring:
             self._told[age] = self.tick.recall(told_of(self.link, age))[0]
         return self.tick.builder.less_equal(self._told[age], float(piece))
 
-    def assigned(self, sum_of: Callable[[Mapping[str, Values]], Values], silent: Values) -> list[Values]:
-        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise."""
-        by_age = [sum_of({name: values[age] for name, values in self.payload.items()}) for age in (0, *self.ages)]
+    def assigned(self, sums: Sequence[Sum], silent: Values) -> list[Values]:
+        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise.
+
+        There is one sum, or one for each age of the packet.
+        """
+        by_age = list[Values]()
+        for age in (0, *self.ages):
+            packet = {name: values[age] for name, values in self.payload.items()}
+            by_age.append(sums[age if len(sums) > 1 else 0](packet))
         return [self.newest(by_age, silent, piece) for piece in range(self.pieces)]
 
     def arrived(self) -> Truth:
@@ -175,21 +183,33 @@ class Heard:
         """Begin a step; ``sizes`` are the numbers of entries of the signals in a packet."""
         self.tick, self.link, self.pieces, self._sizes = tick, link, pieces, sizes
 
-    def assigned(self, sum_of: Callable[[Mapping[str, Values]], Values], silent: Values) -> list[Values]:
-        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise."""
+    def assigned(self, sums: Sequence[Sum], silent: Values) -> list[Values]:
+        """Return in each piece a sum of the signals in the newest packet that has arrived, or what it is otherwise.
+
+        There is one sum, or one for each age of the packet. A packet that is older than all of them is not used.
+        """
         b, found = self.tick.builder, list[Values]()
         for piece in range(self.pieces):
-            here = b.greater(b.input(flag_of(self.link, piece)), 0.0)
+            flag = b.input(flag_of(self.link, piece))
+            here, values = b.greater(flag, 0.0), silent
             packet = {
                 name: [b.input(Entry(name, i, self.link, piece)) for i in range(size)]
                 for name, size in self._sizes.items()
             }
-            found.append([b.choose(here, *one) for one in zip(sum_of(packet), silent, strict=True)])
+            if len(sums) == 1:
+                values = sums[0](packet)
+            for age, sum_of in reversed([*enumerate(sums, start=1)] if len(sums) > 1 else []):
+                young = b.less_equal(flag, float(age))
+                values = [b.choose(young, *one) for one in zip(sum_of(packet), values, strict=True)]
+            found.append([b.choose(here, *one) for one in zip(values, silent, strict=True)])
         return found
 
 
 def flag_of(link: str, piece: int) -> Name:
-    """Return the name of the program input that states whether a packet has arrived in a step, before a piece ends."""
+    """Return the name of the program input for a packet that has arrived in a step, before a piece ends.
+
+    It is 0 without a packet, and otherwise 1 plus its age in steps.
+    """
     return Entry("arrived", 0, link, piece) if piece else Received(link)
 
 
@@ -223,7 +243,7 @@ def memories(policy: Policy, network: Network) -> tuple[dict[str, int], dict[str
             continue
         if law.sequence:
             sizes[place_of(step.link)], initial[place_of(step.link)] = 1, place_of(step.link)
-        oldest = int(np.ceil(max(law.waits)))
+        oldest = network.longest(step.link, policy.tick)
         told = range(oldest + 1) if network.links[step.link].acknowledgement_delay else ()
         sizes |= dict.fromkeys((told_of(step.link, age) for age in told), 1)
         initial |= {told_of(step.link, age): np.array([NEVER]) for age in told}

@@ -47,6 +47,7 @@ from taciturn.model.steps import (
     Step,
     assigned,
     condition_of,
+    hears,
 )
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
@@ -190,7 +191,7 @@ def _parts(policy: Policy, site: frozenset[str], own: Sequence[Step], applied: S
 def _age(policy: Policy, link: str) -> int:
     """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
     sent = next(i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link)
-    read = [i for i, step in enumerate(policy.steps) if condition_of(step) == Received(link)]
+    read = [i for i, step in enumerate(policy.steps) if hears(condition_of(step), link)]
     if read[0] < sent < read[-1]:
         raise ProblemError(
             f"the nodes of the policy {policy.kind} cannot be separated: the packet of the {link} link is read both "
@@ -270,7 +271,8 @@ class _Part(OperatedStep):
         if isinstance(condition, Acted):
             arrived = self.builder.input(Arrived(condition.link, condition.age))
             return [self.builder.negated(self.builder.less_equal(arrived, float(condition.piece)))]
-        return [self.builder.negated(self._true(self.builder.input(condition)))]
+        flag = Received(condition.link) if isinstance(condition, Received) else condition
+        return self.of_ages(condition, self.builder.negated(self._true(self.builder.input(flag))))
 
     def place(self, name: str) -> int:
         own = self.locations[name].on is not None

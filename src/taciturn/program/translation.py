@@ -17,6 +17,7 @@ the minimum. The last label is chosen if no other one is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -210,11 +211,11 @@ class TimeStep:
         silent = self.combine(step.branches[0], step.size)
         self.listening = listening
 
-        def sum_of(packet: Mapping[str, Operands]) -> Operands:
+        def sum_of(terms: Terms, packet: Mapping[str, Operands]) -> Operands:
             self.heard = packet
-            return self.combine(step.branches[1], step.size)
+            return self.combine(terms, step.size)
 
-        self.pieces[step.signal] = packets.assigned(sum_of, silent)
+        self.pieces[step.signal] = packets.assigned([partial(sum_of, one) for one in step.branches[1:]], silent)
         self.signals[step.signal], self.heard = self.pieces[step.signal][-1], {}
 
     def _follow_pieces(self, step: Assign) -> None:
@@ -260,7 +261,10 @@ class TimeStep:
         return chosen
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return a truth value for each outcome of a condition except the last; for a packet: "it did not arrive"."""
+        """Return a truth value for each outcome of a condition except the last; for a packet: "it did not arrive".
+
+        A link without random delays has no packet that is older than a step that reads it expects.
+        """
         if isinstance(condition, str):
             return self.outcomes[condition]
         link = condition.link
@@ -270,7 +274,12 @@ class TimeStep:
             name = _arrival(link)
             self.memories[name] = self._remember(name, 1)
             self.arrived[link] = self.builder.greater(self.memories[name][0], 0.0)
-        return [self.builder.negated(self.arrived[link])]
+        return self.of_ages(condition, self.builder.negated(self.arrived[link]))
+
+    def of_ages(self, condition: Condition, silent: Truth) -> list[Truth]:
+        """Return the truth values of no packet, and of the ages but the last, if no packet is delayed at random."""
+        more = condition.oldest or 0 if isinstance(condition, Received) else 0
+        return [silent, *[self.builder.negated(silent)][:more], *[False] * (more - 1)]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
         """Return the entries of a matrix. For a table of matrices, a discrete state selects the matrix."""

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
-NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport")
+NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport", "oldest")
 # neutral values that digests do not contain
 LATER: Mapping[str, object] = {
     **dict.fromkeys(NONE),

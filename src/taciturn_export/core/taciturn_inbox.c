@@ -421,6 +421,9 @@ static void collect_late(tac_node *node, unsigned i, uint64_t step) {
   }
   channel->missing = count_missing(&channel->window);
   put_inputs(data, packet, node->inputs);
+  if (packet != NULL) { /* a receiver may use the packet by its age */
+    node->inputs[data->at] += (tac_real)(step - packet->tick);
+  }
 }
 
 /* Read packets of several steps: set-points, and those of late links. */

@@ -46,6 +46,7 @@ from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee, Identity, Theory, rounded_up, with_silence
+from taciturn.model.transport import promptly
 from taciturn.model.trigger import Form
 
 EXCESS = "input error"
@@ -172,6 +173,8 @@ def distributed(
     joint = False if joint is None else joint
     network = network or IDEAL
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
+    if actuation == "model":
+        plant = promptly(plant, network)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)
     if lossy and plant.exosystem is not None:

@@ -21,14 +21,14 @@ from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import choice, count
+from taciturn._arrays import choice, count, number
 from taciturn.base.certainty import Actuation as LQGActuation
 from taciturn.base.certainty import certainty_policy, control_steps, design_certainty
 from taciturn.base.filter import ESTIMATE, SEND
 from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.limited_value import COST, LimitedSilence
-from taciturn.base.route import CANDIDATE, Actuation
+from taciturn.base.route import CANDIDATE, Actuation, Ahead
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.late import late_excess
@@ -42,8 +42,10 @@ from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Apply
+from taciturn.model.transport import promptly
 from taciturn.model.trigger import Form, Trigger
 
+MOST_STEPS = 50  # of a plan
 LONGEST = 100_000  # steps between packets of the base: their value is computed step by step
 
 
@@ -62,6 +64,7 @@ def excess(
     every: int = 1,
     gains: Literal["lqg", "loss-optimal"] = "lqg",
     retry: bool = False,
+    plan: int = 0,
     design_delay: float | None = None,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
@@ -87,7 +90,8 @@ def excess(
         period: seconds between steps; only with a continuous plant.
         actuation: in silence, ``"hold"`` keeps the last input, ``"model"`` simulates plant and controller, for LQG
             x̃⁺ = (A + BL) x̃, from the last sent estimate, and ``"zero"`` applies 0, or the input at rest of
-            an operating point or of the controller's set-point.
+            an operating point or of the controller's set-point. With random delays, ``"model"`` makes up for the age
+            of each packet.
         controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
@@ -108,6 +112,8 @@ def excess(
             made: seconds, or steps of a discrete plant; default: the mean delay of the packets that arrive.
         retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
             that attempts more often.
+        plan: number N of later steps for which a packet carries the inputs L(A + BL)ⁱx̂, i = 1, …, N. In silence, the
+            actuator applies them in turn, by the age of the packet, and then holds the last one. Default: none.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -135,12 +141,16 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
+    planned = number("plan", plan, 0, MOST_STEPS, closed=True)
+    if planned % 1.0:
+        raise ProblemError(f"plan is {plan}; expected a whole number of steps from 0 to {MOST_STEPS}")
+    own = (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold")
     if informed(links):
-        if (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold"):
+        if own or plan:
             acknowledged = next(node for node in links.actuators if links.acknowledges(node))
             raise ProblemError(
                 f"{links.lateness(acknowledged)}, with acknowledgements; expected link = 'actuator', every = 1, "
-                "actuation = 'hold', gains = 'lqg' and no retry, or a buffer"
+                "actuation = 'hold', gains = 'lqg', no retry and no plan, or a buffer"
             )
         kept = None if controller is None else controller_from(controller)
         return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay)
@@ -149,9 +159,18 @@ def excess(
             f"design_delay is {design_delay:g}, but no link has acknowledged packets with random delays; expected no "
             "design_delay: a constant delay is known, and the gains are made for it"
         )
+    if plan and (own or controller is not None or drops(links, link)):
+        raise ProblemError(
+            f"plan is {plan}; expected actuation = 'hold', which holds the last input of the plan, link = 'actuator' "
+            "without acknowledged losses, every = 1, gains = 'lqg' and no retry or controller to keep; or no plan"
+        )
+    if plan or actuation == "model":
+        plant = promptly(plant, links)
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":
-        return _lqg(discretise(plant, cost, period), actuation, price_at, unsure(links, link))
+        problem = discretise(plant, cost, period)
+        ahead = Ahead(links.longest(link, problem.tick), int(plan))
+        return _lqg(problem, actuation, price_at, unsure(links, link), ahead)
     L = None
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
@@ -175,11 +194,15 @@ def excess(
 
 
 def _lqg(
-    problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float], unacknowledged: bool
+    problem: Discrete,
+    actuation: LQGActuation,
+    price_at: Callable[[float], float],
+    unacknowledged: bool,
+    ahead: Ahead,
 ) -> Policy:
     """Return the policy with the gains of LQG, over the actuator link, relative to a packet at every step."""
     if problem.cost.mission:
-        return total_excess("excess", problem, actuation, price_at, unacknowledged)
+        return total_excess("excess", problem, actuation, price_at, unacknowledged, ahead)
     certainty = design_certainty("excess", problem)
     price = price_at(certainty.cost_all_time)
     plant, best = problem.plant, certainty.regulator
@@ -189,7 +212,7 @@ def _lqg(
         rollout = LimitedSilence.of(F, plant.B, best.L, best.H, slope, plant.saturation)
         silent, foreseen = Form(plus={COST: 1.0}), (rollout.step("controller", (ESTIMATE,), CANDIDATE, "command"),)
     rule = Trigger({"silent": silent, SEND: Form(constant=price)})
-    steps, initial = control_steps(plant, certainty.estimation, best.L, actuation, rule, before=foreseen)
+    steps, initial = control_steps(plant, certainty.estimation, best.L, actuation, rule, before=foreseen, ahead=ahead)
     return certainty_policy(
         "excess",
         certainty,

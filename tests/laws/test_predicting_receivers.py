@@ -1,0 +1,248 @@
+"""Actuators that know how old a packet is: models and plans, against packets in queues that nobody rolls forward.
+
+The other program keeps the newest estimate with the step in which it was sent, and computes the input for the present
+step from it. So copies of a state, shifts of a plan and branches for each age have no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg as la
+from counts import few
+from drawn import law
+from hypothesis import assume
+from hypothesis import strategies as st
+from measured import average
+from runtime.late import delays, pendulum, record
+from runtime.loops import column
+from systems import System, systems
+
+import taciturn
+from taciturn import Controller, Cost, Network, Plant, ProblemError, design
+from taciturn.lqg.discrete import discretise
+from taciturn.model.packets import fingerprint
+from taciturn.model.steps import Assign, Received
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet
+from taciturn.program.late import NEVER
+from taciturn.program.ops import Sent
+from taciturn.simulation.average import completed_squares, plain_average
+
+STEPS = 400
+SIZES = ((1, 1), (2, 1), (3, 2))  # states and inputs
+LAWS: tuple[list[float], ...] = ([0.2, 0.3, 0.5], [0.5, 0.0, 0.0, 0.4], [0.1, 0.8])
+
+
+def late_network(law: list[float], loss: float = 0.1) -> Network:
+    """Return the usual nodes with an actuator link that delays packets, drops some and acknowledges none."""
+    return Network().changed({"actuator": {"delay": law, "loss": loss}})
+
+
+@dataclass(frozen=True)
+class Gains:
+    """LQG by the Riccati equations of SciPy."""
+
+    L: np.ndarray
+    H: np.ndarray
+    filter: np.ndarray
+
+    @staticmethod
+    def of(plant: Plant, cost: Cost) -> Gains:
+        """Return the gains for a plant in discrete time."""
+        A, B, C = plant.A, plant.B, plant.C
+        K = la.solve_discrete_are(A, B, cost.Q, cost.R, s=cost.N)
+        H = cost.R + B.T @ K @ B
+        L = -np.linalg.solve(H, B.T @ K @ A + cost.N.T)
+        if plant.full_state:
+            return Gains(L, H, np.eye(plant.states))
+        prior = la.solve_discrete_are(A.T, C.T, plant.W, plant.V)
+        return Gains(L, H, prior @ C.T @ np.linalg.inv(C @ prior @ C.T + plant.V))
+
+
+def played(
+    plant: Plant,
+    gains: Gains,
+    delta: float,
+    y: np.ndarray,
+    after: np.ndarray,
+    inputs: Callable[[np.ndarray, int], np.ndarray],
+) -> tuple[np.ndarray, list[bool]]:
+    """Return applied inputs and decisions for given measurements and delays; ``inputs`` of an estimate, by its age."""
+    prior, at_controller = np.zeros(plant.states), (0, np.zeros(plant.states))
+    at_actuator, flying = at_controller, list[tuple[int, int, np.ndarray]]()
+    applied, decisions = list[np.ndarray](), list[bool]()
+    for k, measured in enumerate(y):
+        estimate = prior + gains.filter @ (measured - plant.C @ prior)
+        command, (since, told) = gains.L @ estimate, at_controller
+        error = inputs(told, k - since) - command
+        decisions.append(bool(error @ gains.H @ error > delta))
+        if decisions[-1]:
+            at_controller = k, estimate
+            if after[k] < NEVER / 2:
+                flying.append((k + int(after[k]), k, estimate))
+        believed = inputs(at_controller[1], k - at_controller[0])
+        for due, sent, carried in flying:
+            if due == k and sent >= at_actuator[0]:
+                at_actuator = sent, carried
+        applied.append(inputs(at_actuator[1], k - at_actuator[0]))
+        prior = plant.A @ estimate + plant.B @ believed
+    return np.array(applied), decisions
+
+
+@law(6, 60, system=systems(states=4, inputs=2), seed=st.integers(0, 2**31), plan=st.sampled_from([0, 0, 1, 2, 6]))
+def test_a_receiver_has_the_inputs_of_the_newest_packet_for_the_present_step(
+    system: System, seed: int, plan: int
+) -> None:
+    """Every decision and every input of random systems; ``plan`` 0 stands for a model, which has no end."""
+    plant, cost, chances = system.plant, system.cost, LAWS[seed % len(LAWS)]
+    gains = Gains.of(plant, cost)
+    delta = 0.3 * float(np.trace(gains.L.T @ gains.H @ gains.L @ plant.W))
+    assume(delta > 1e-9)
+    closed = plant.A + plant.B @ gains.L
+
+    def inputs(estimate: np.ndarray, age: int) -> np.ndarray:
+        return gains.L @ np.linalg.matrix_power(closed, min(age, plan) if plan else age) @ estimate
+
+    network = late_network(chances)
+    asked = {"plan": plan} if plan else {"actuation": "model"}
+    loop = taciturn.close(plant, design.excess(plant, cost, delta=delta, network=network, **asked), network)  # type: ignore[arg-type]
+    records = record(loop, STEPS, seed, fast=False)
+    u, after = column(records, "applied"), delays(loop, records)["actuator"]
+    assume(np.abs(u).max() < 1e6)  # without acknowledgements, nothing bounds the loop
+    found, decisions = played(plant, gains, delta, column(records, "y"), after, inputs)
+    assert np.abs(found - u).max() <= 1e-7 * np.abs(u).max()
+    assert (records[Sent("actuator")][:, 0] > 0).tolist() == decisions
+    assert set(after[after < NEVER / 2]) == {i for i, p in enumerate(chances) if p}
+
+
+@pytest.mark.parametrize("seed", few(range(40), 4))
+def test_a_controller_moves_a_late_packet_with_its_own_inputs(seed: int) -> None:
+    """A controller with states that hears the sensor late: every input, computed again from the step of each packet."""
+    draws = np.random.default_rng(seed)
+    n, m = SIZES[seed % len(SIZES)]
+    A = draws.standard_normal((n, n))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    plant, cost = Plant(A, draws.standard_normal((n, m)), 0.1 * np.eye(n)), Cost(np.eye(n), np.eye(m))
+    L, small = Gains.of(plant, cost).L, 0.1 * draws.standard_normal((2, n + m))
+    kept = Controller([[0.8, 0.1], [0.0, 0.5]], small[:, :n], 0.1 * draws.standard_normal((m, 2)), L, E=small[:, n:])
+    network = Network().changed({"sensor": {"delay": LAWS[seed % len(LAWS)], "loss": 0.1}})
+    policy = design.excess(
+        plant, cost, theta=0.5, link="sensor", actuation="model", controller=kept, network=network
+    )  # fmt: skip
+    loop = taciturn.close(plant, policy, network)
+    records = record(loop, STEPS, seed, fast=False)
+    y, u, sends = column(records, "y"), column(records, "applied"), records[Sent("sensor")][:, 0] > 0
+    found = moved(plant, kept, y, sends, delays(loop, records)["sensor"])
+    assert 0.05 < sends.mean() < 0.95
+    assert np.abs(found - u).max() <= 1e-9 * np.abs(u).max()
+
+
+def moved(plant: Plant, kept: Controller, y: np.ndarray, sends: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the commands of a controller that starts again at the step of each packet, given what is sent and when."""
+    foreseen, copied = np.zeros(plant.states), np.zeros(len(kept.A))  # by the sensor, which thinks that packets arrive
+    packets, newest = list[tuple[np.ndarray, np.ndarray]](), -1
+    commands, used, states, models = ([np.zeros(plant.inputs)][:0], list[np.ndarray](), [copied], [foreseen])
+    for k, measured in enumerate(y):
+        packets.append((measured, copied))
+        known = measured if sends[k] else foreseen
+        believed = kept.C @ copied + kept.D @ known
+        copied = kept.A @ copied + kept.B @ known + kept.E @ believed
+        foreseen = plant.A @ known + plant.B @ believed
+        come = [s for s in range(newest + 1, k + 1) if s + after[s] == k]
+        state, model, value = states[k], models[k], models[k]
+        if come:
+            newest = max(come)
+            value, state = packets[newest]
+            model = value
+            for s in range(newest, k):
+                state = kept.A @ state + kept.B @ (value if s == newest else used[s]) + kept.E @ commands[s]
+                model = plant.A @ model + plant.B @ commands[s]
+            value = model
+        commands.append(kept.C @ state + kept.D @ value)
+        used.append(value)
+        states.append(kept.A @ state + kept.B @ value + kept.E @ commands[k])
+        models.append(plant.A @ model + plant.B @ commands[k])
+    return np.array(commands)
+
+
+@law(3, 40, system=systems(states=4, inputs=2), plan=st.integers(1, 8))
+def test_a_plan_has_the_guarantee_of_any_input_in_silence(system: System, plan: int) -> None:
+    """Over a link that delivers every packet at once, J = J_all + E[e'He], at most J_all + δ(1 − rate)."""
+    policy = design.excess(system.plant, system.cost, theta=0.3, plan=plan)
+    loop = taciturn.close(system.plant, policy)
+    assert not loop.violated_assumptions
+    squares, plain = (average(loop, one(loop), steps=4096) for one in (completed_squares, plain_average))
+    square, rate, guarantee = squares.cost, squares.rates["actuator"], policy.guarantee
+    assert guarantee is not None
+    assert abs(square.value - plain.cost.value) < 5 * np.hypot(square.standard_error, plain.cost.standard_error)
+    bound = policy.cost_all_time + (guarantee.cost - policy.cost_all_time) * (1 - rate.value)
+    assert square.value < bound + 5 * square.standard_error
+
+
+def test_a_plan_without_an_end_is_a_model() -> None:
+    """The applied inputs of both, with the same noise, delays and losses."""
+    late = {"acknowledged": False, "delay": [0.2, 0.3, 0.5]}
+    problems = [pendulum({"delta": 0.005, **one}, **late) for one in ({"plan": 50}, {"actuation": "model"})]
+    records = [record(problem.close(problem.design()), 2000, 1) for problem in problems]
+    one, other = (column(found, "applied") for found in records)
+    assert np.diff(np.flatnonzero(records[0][Sent("actuator")])).max() < 50
+    assert np.abs(one - other).max() < 1e-9 * np.abs(one).max()
+
+
+def test_a_node_counts_the_age_of_a_packet_until_it_hears_it() -> None:
+    """Also without a time of arrival, as in real time. A packet that is older than the law says is not used."""
+    problem = pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False)
+    policy, n = problem.design(), 4
+    (heard,) = [step for step in policy.steps if isinstance(step, Assign) and step.signal == "model"]
+    assert heard.on == Received("actuator", 2)
+    discrete = discretise(problem.plant, problem.cost, 0.02)
+    gains = Gains.of(discrete.plant, Cost(discrete.Q, discrete.R, discrete.N))
+    closed, estimate = discrete.plant.A + discrete.plant.B @ gains.L, np.arange(1.0, n + 1)
+    for age in range(4):
+        actuator = Node(policy, "actuator", network=problem.network)
+        for k in range(5):
+            actuator.step(k)
+        sent = Packet("data", "actuator", 5 - age, 0, tuple(estimate))
+        used = 0 * estimate if age > 2 else np.linalg.matrix_power(closed, age) @ estimate
+        assert actuator.step(5, packets=[sent]).input == pytest.approx(gains.L @ used, rel=1e-6)
+        assert actuator.step(6).input == pytest.approx(gains.L @ closed @ used, rel=1e-6)
+
+
+def test_what_cannot_be_predicted_is_refused_by_name() -> None:
+    """Limits, horizons, acknowledgements, other routes, longer delays, and policies that do not know ages."""
+    plant, cost, network = Plant([[1.1]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]]), late_network([0.5, 0.5])
+    limited = Plant([[1.1]], [[1.0]], [[0.1]], input_limit=[5.0])
+    mission = Cost([[1.0]], [[1.0]], horizon=20)
+    asks: tuple[dict[str, Any], ...] = ({"plan": 3}, {"actuation": "model"})
+    for asked in asks:
+        with pytest.raises(ProblemError, match=r"inputs are limited.*expected a cost without a horizon, no limits"):
+            design.excess(limited, cost, theta=0.1, network=network, **asked)
+        with pytest.raises(ProblemError, match=r"cost has a horizon.*expected a cost without a horizon, no limits"):
+            design.excess(plant, mission, theta=0.1, network=network, **asked)
+        told = network.changed({"actuator": {"acknowledged": True}})
+        with pytest.raises(ProblemError, match="with acknowledgements; expected"):
+            design.excess(plant, cost, theta=0.1, network=told, **asked)
+        policy = design.excess(plant, cost, theta=0.1, network=network, **asked)
+        assert taciturn.close(plant, policy, network).violated_assumptions
+        with pytest.raises(ProblemError, match="up to 2 steps, but the receiver of this excess policy was designed"):
+            taciturn.close(plant, policy, late_network([0.5, 0.2, 0.3]))
+        for shorter in (Network(), late_network([0.8, 0.2])):
+            assert average(taciturn.close(plant, policy, shorter), steps=1024).cost.value > 0
+    for wrong in (-1, 51, 1.5):
+        with pytest.raises(ProblemError, match="plan is"):
+            design.excess(plant, cost, theta=0.1, plan=wrong)  # type: ignore[arg-type]
+    others: tuple[dict[str, Any], ...] = (
+        {"actuation": "model"}, {"actuation": "zero"}, {"every": 2}, {"controller": [[-0.5]]}, {"link": "sensor"}
+    )  # fmt: skip
+    for other in others:
+        with pytest.raises(ProblemError, match="plan is 3; expected actuation = 'hold'"):
+            design.excess(plant, cost, theta=0.1, plan=3, **other)
+    unaware = design.excess(plant, cost, theta=0.1, actuation="model")
+    with pytest.raises(ProblemError, match="would have to know how old a packet is"):
+        taciturn.close(plant, unaware, network)
+    assert fingerprint(unaware, Network()) != fingerprint(policy, Network())
