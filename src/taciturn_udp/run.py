@@ -23,6 +23,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Send
+from taciturn.nodes.inbox import LATE_ANSWER
 from taciturn.nodes.keys import Keys, read_keys
 from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
@@ -109,7 +110,7 @@ def run_network(
     if fates is not None:
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
-    stated = losses(problem.network, seed, period=policy.tick if tick is None and not namespaces else None)
+    stated = losses(problem.network, seed, period=None if namespaces else policy.tick, tick=tick)
     chosen = fates if fates is not None else stated
     relayed = {**losses(Network(), seed), **chosen}
     lost = {link: _dropped(one) for link, one in drops.items()} if namespaces else _foreseen(relayed)
@@ -165,7 +166,7 @@ def run_network(
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
     rates = {link: rate_of_ticks(loop, sends[link]).scaled(pace) for link in policy.scheduled if link in sends}
-    differences = loop.violated_assumptions + _other_links(chosen, stated)
+    differences = loop.violated_assumptions + _other_links(chosen, stated) + told_too_late(reports)
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),
@@ -207,6 +208,16 @@ def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple
     """Return the links whose losses, delays or changes of packets differ from those of the network."""
     other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
+
+
+def told_too_late(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the nodes that were told too late when their packets have arrived: they decided without knowing it."""
+    counted = {role: report.get("degraded", {}).get(LATE_ANSWER, 0) for role, report in reports.items()}
+    return tuple(
+        f"{number_of(number, 'acknowledgement')} came to the {role} after the step that needs it"
+        for role, number in counted.items()
+        if number
+    )
 
 
 def _foreseen(fates: Mapping[str, Fate]) -> dict[str, Lost]:
