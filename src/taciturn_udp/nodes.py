@@ -302,11 +302,16 @@ class NodeServer:
                 self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
-        counted = self._counted
-        if counted is not None and packet.kind == "data" and packet.link in counted.links:
-            after = now - self._begins_at(packet.tick) if self.phase.known else 0.0
-            packet = packet._replace(late=counted.pieces(packet.link, max(after, counted.least)))
+        packet = self._dated(packet, now)
         self._note(packet, node.sort_in(packet), now, repeated)
+
+    def _dated(self, packet: Packet, now: float) -> Packet:
+        """Return a packet of a link with random delays with its delay, in real time; every other one as it is."""
+        counted = self._counted
+        if counted is None or packet.kind != "data" or packet.link not in counted.links:
+            return packet
+        after = now - self._begins_at(packet.tick) if self.phase.known else 0.0
+        return packet._replace(late=counted.pieces(packet.link, max(after, counted.least)))
 
     def _note(self, packet: Packet, handling: str, now: float, repeated: bool) -> None:
         """Draw the conclusions from a packet that a node has sorted in: it may correct the clock, and ends silence."""

@@ -24,7 +24,7 @@ from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.late import Counted
 from taciturn_udp.relay import losses
 from taciturn_udp.run import told_too_late
-from taciturn_worlds.world import World, run_world
+from taciturn_worlds.world import World, run_world_with_devices
 
 STEPS, PERIOD = 200, 0.02
 # whose controller waits for sensors that may be silent, so that it sends at various times within a step
@@ -128,8 +128,8 @@ def test_a_node_that_does_more_than_apply_packets_is_refused() -> None:
 @pytest.mark.parametrize("seed", few(range(60), quick=3))
 @pytest.mark.parametrize("told", [True, False], ids=["acknowledged", "not acknowledged"])
 def test_no_invariant_breaks_in_worlds_with_random_delays(seed: int, told: bool) -> None:
-    """Under the faults of a seed, nodes recover, and the newest packets are used."""
-    found = run_world(pendulum({"delta": 0.05}, delay=WITHIN, loss=None, acknowledged=told), seed)
+    """Under the faults of a seed, nodes on the host and in C recover, and the newest packets are used."""
+    found = run_world_with_devices(pendulum({"delta": 0.05}, delay=WITHIN, loss=None, acknowledged=told), seed)
     assert found.broken is None, f"world {seed}: {found.broken}"
 
 

@@ -38,7 +38,15 @@ from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.nodes.packet import Packet
 from taciturn.program.draws import seed_generators
 from taciturn.program.manual import not_operable
-from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, translate_node
+from taciturn.program.node import (
+    Layout,
+    NodeProgram,
+    acts_at_once,
+    first_inputs,
+    lay_out,
+    only_applies,
+    translate_node,
+)
 from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
@@ -356,11 +364,11 @@ class Node:
     @property
     def acts_at_once(self) -> bool:
         """True if the node applies packets to the plant that a link may delay at random, also within a step."""
-        return self.actuates and any(link in self.program.pieces for link in self.program.hears)
+        return acts_at_once(self.program, self._layout)
 
     def check_acting(self) -> None:
         """Raise an error if the node cannot apply each packet when it arrives, as it does more in a step."""
-        if not self.acts_at_once or self.measures or self._draw is not None or len(self._parts) > 1:
+        if not only_applies(self.program, self._layout):
             raise ProblemError(
                 f"the {self.role} of this {self.policy.kind} policy does more than to apply packets over a link with "
                 "random delays, so that it cannot apply each when it arrives; expected an actuator at a site of its "

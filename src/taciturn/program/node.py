@@ -458,6 +458,17 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     )
 
 
+def acts_at_once(program: NodeProgram, layout: Layout) -> bool:
+    """Return whether a node applies packets to the plant that a link may delay at random, also within a step."""
+    return layout.applied is not None and any(link in program.pieces for link in program.hears)
+
+
+def only_applies(program: NodeProgram, layout: Layout) -> bool:
+    """Return whether such a node does nothing else in a step, so that it can apply a packet before the step ends."""
+    more = layout.measured or layout.departures or program.draws is not None or len(program.parts) > 1
+    return acts_at_once(program, layout) and not more
+
+
 def first_inputs(policy: Policy, layout: Layout) -> list[float]:
     """Return the program inputs of a node before its first step: zeros, and the initial set-points."""
     found = [0.0] * len(layout.inputs)
