@@ -552,10 +552,10 @@ packets of an operator, those of kind 3 have no effect; `tac_setpoints(node, val
   `tac_step` also in a step in which no measurement arrives. The filter then predicts, a node without a filter holds the
   last measurement, and `node->counters.missing` counts the step.
 * A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
-* An actuator whose packets are **delayed at random** may act when a packet arrives: `tac_receive_in(node, datagram, size,
-  piece)` takes it in a piece of the step that is running (the nearest of those in `NODE_CUTS`), and `tac_act(node)` sets
-  `tac_input(node)`, whose last numbers are the input from now on. Then send what `tac_send` returns, and call `tac_step`
-  when the step is over. Without this, a packet acts at the next step.
+* An actuator whose packets are **delayed at random** may act when a packet arrives: `tac_receive_in(node, datagram,
+  size, piece)` takes it in a piece of the running step (the nearest of those in `NODE_CUTS`), and `tac_act(node)` sets
+  `tac_input(node)`, whose last numbers are the input from now on. Then send what `tac_send` returns, and call
+  `tac_step` when the step is over. Without this, a packet acts at the next step.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a

@@ -37,11 +37,12 @@ from taciturn.study.evaluation import cost_unit
 from taciturn.study.sentences import WITHDRAWN
 from taciturn_udp.averages import cost_of_ticks, rate_of_ticks, remark_on_rates
 from taciturn_udp.endpoint import Endpoint, parse_address
+from taciturn_udp.late import Lateness
 from taciturn_udp.logs import PART, Logs
 from taciturn_udp.namespaces import Counted, KernelLoss, Namespaces, kernel_losses, predict_drops
 from taciturn_udp.plant import PlantServer
 from taciturn_udp.processes import Processes
-from taciturn_udp.record import Lost, Record
+from taciturn_udp.record import Drawn, Lost, Record
 from taciturn_udp.relay import Fate, losses
 from taciturn_udp.result import NetworkRun, uncertified
 from taciturn_udp.service import Told
@@ -114,11 +115,12 @@ def run_network(
     chosen = fates if fates is not None else stated
     relayed = {**losses(Network(), seed), **chosen}
     lost = {link: _dropped(one) for link, one in drops.items()} if namespaces else _foreseen(relayed)
+    drawn = {} if tick is not None or namespaces else drawn_delays(problem.network, policy, relayed)
     began = time.monotonic()
     with (
         temporary_folder() as folder,
         Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
-        nullcontext() if record is None else closing(Record(Path(record), loop, wire, tick, lost)) as written,
+        nullcontext() if record is None else closing(Record(Path(record), loop, wire, tick, lost, drawn)) as written,
     ):
         changed = [part for text in settings for part in ("--set", text)] if read else []
         changed += [] if functions else ["--no-functions"]
@@ -223,6 +225,17 @@ def told_too_late(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
 def _foreseen(fates: Mapping[str, Fate]) -> dict[str, Lost]:
     """Return for each link whether its relay drops a packet."""
     return {link: fate.lost for link, fate in fates.items()}
+
+
+def drawn_delays(network: Network, policy: Policy, fates: Mapping[str, Fate]) -> dict[str, Drawn]:
+    """Return for each link that delays packets by the law of the network the delay of a packet in seconds."""
+    found = dict[str, Drawn]()
+    for link in network.late:
+        fate = fates.get(link)
+        if fate is not None and fate.late == Lateness.of(network, link, policy.tick):
+            late = Lateness.of(network, link, policy.tick, policy.model.dt or 1.0)
+            found[link] = replace(fate, late=late).late_by
+    return found
 
 
 def _dropped(loss: KernelLoss) -> Lost:

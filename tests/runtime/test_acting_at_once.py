@@ -14,6 +14,7 @@ from runtime.loops import by_hand
 from runtime.test_late_packets import loops
 from runtime.virtual import run_virtually
 
+import taciturn
 from taciturn import Nodes, ProblemError
 from taciturn.loop import Loop
 from taciturn.model.delay import delay_from
@@ -72,6 +73,21 @@ def test_servers_in_real_time_have_the_bits_of_virtual_time(law: Any, tmp_path: 
     assert all(min(abs(one - delay) for one in near) < 5e-4 for delay in found)
     assert len(near) > 1
     assert ran.nodes["controller"].report()["degraded"].keys() <= {"missing"}  # after the plant has ended
+
+
+@pytest.mark.parametrize("tick", [None, PERIOD], ids=["virtual time", "real time"])
+def test_the_delays_of_a_record_are_those_of_the_law(tick: float | None, tmp_path: Path) -> None:
+    """As ``taciturn delays`` evaluates them: in virtual time exactly those drawn, also within periods."""
+    problem = pendulum({"kind": "periodic", "delta": None, "every": 1}, delay=WITHIN, loss=None, acknowledged=None)
+    fates = losses(problem.network, 1, period=problem.design().tick, tick=tick)
+    rows = run_virtually(problem, tmp_path, STEPS, fates, tick).packets[1:]
+    timed = losses(problem.network, 1, period=problem.design().tick, tick=PERIOD)["actuator"]
+    drawn = {k: wait for k in range(STEPS - 5) if (wait := timed.late_by(k, k)) is not None}
+    found = {int(row[1]): float(row[4]) for row in rows if row[3] in ("delivered", "late") and int(row[1]) < STEPS - 5}
+    assert found == pytest.approx(drawn, abs=1e-9 if tick is None else 5e-4)
+    assert sorted(set(drawn.values())) == pytest.approx(WITHIN["seconds"])
+    measured = taciturn.read_delays(tmp_path / "record" / "packets.csv").delay
+    assert np.isin(list(found.values()), measured).all()
 
 
 def test_a_node_acts_with_the_packets_that_have_arrived_and_ends_the_step_with_all() -> None:

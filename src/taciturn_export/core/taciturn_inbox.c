@@ -422,8 +422,8 @@ static void tell_once(tac_node *node, unsigned i, unsigned place, uint64_t step,
   }
 }
 
-/* Copy the newest packet of each piece of a step to the inputs, and acknowledge all. Set `used` to whether the packet at
- * each place is used. */
+/* Copy the newest packet of each piece of a step to the inputs, and acknowledge all. Set `used` to whether the packet
+ * at each place is used. */
 static void put_newest(tac_node *node, unsigned i, uint64_t step, uint64_t ticks, bool *used) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
