@@ -295,7 +295,8 @@ class Loop(Displayed):
         """Return the program that computes one step of the loop from given noise.
 
         Inputs: process noise ``w``, measurement noise ``v``, and uniform numbers. Outputs: those of ``program``, and
-        ``drawn``, the uniform numbers that the policy draws. The states ``x`` come first.
+        ``drawn``, the uniform numbers that the policy draws; if packets arrive within a period, also the inputs of its
+        pieces. The states ``x`` come first.
         """
         whole = self.whole_program(supplied=True)
         return whole.keep(outputs=set(whole.outputs))
@@ -461,7 +462,7 @@ class Loop(Displayed):
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         outputs |= self._sampled(tick, known) | named("drawn", tick.thresholds if supplied else ())
-        outputs |= tick.delays()
+        outputs |= tick.delays() | (named(ACTING, tick.signals.get(ACTING, ())) if supplied else {})
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 

@@ -484,7 +484,7 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
 def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     """Return C source of the function that starts the nodes, and of the list of links."""
     used, links = used_links(loop), wire_links(loop.policy)[: core_links(loop.policy)]
-    outputs, inputs = entries_of_nodes(loop.policy)
+    outputs, inputs = entries_of_nodes(loop.policy, loop.network)
     lines = [f'{GENERATED_BY}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
     lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in links)}}};"]
     lines += [

@@ -21,8 +21,9 @@ from taciturn import __version__
 from taciturn.errors import ProblemError
 from taciturn.extend import Array, Displayed, factor, number_of, write_whole
 from taciturn.loop import Loop
-from taciturn.model.network import REFERENCE
+from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import (
+    acting_pieces,
     inputs_at,
     outputs_at,
     place_of,
@@ -38,9 +39,10 @@ from taciturn.model.steps import Received, Send
 from taciturn.model.wire import SETPOINT
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
+from taciturn.program.all_nodes import ACTING
 from taciturn.program.c import REAL, c_literal, constant_array
 from taciturn.program.ir import Program
-from taciturn.program.late import NEVER
+from taciturn.program.late import NEVER, pieces_of_links
 from taciturn.program.missing import SAMPLED
 from taciturn.program.ops import Arrived, Entry, Name, Sent, is_entry, named
 from taciturn_export.library import entries_text, print_library
@@ -66,9 +68,10 @@ class RecordedRun(Displayed):
         measured: measurements y, (steps, p); NaN where a sample is missing.
         drawn: uniform random numbers that the policy draws, (steps, draws).
         arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links); on a link with random delays, 1 plus
-            the delay in steps of the packet that was sent.
+            the delay of the packet that was sent, in pieces of a step of its receiver.
         sent: 1 if a packet was sent, otherwise 0, (steps, links).
-        applied: inputs u that the actuators applied, (steps, m).
+        applied: inputs u that the actuators applied, (steps, m); if packets arrive within a period, those of its pieces
+            one after the other.
         order: outputs and inputs of the plant in the order in which the nodes measure and apply them.
     """
 
@@ -113,10 +116,10 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
         links,
         _columns([found[name] for name in measured], steps),
         _columns([inputs[i] for i in own], steps),
-        _columns([_fates(found, link) for link in links], steps),
+        _columns([_fates(loop, found, link) for link in links], steps),
         _columns([found[Sent(link)] for link in links], steps),
-        _columns([found[Entry("applied", i)] for i in range(plant.inputs)], steps),
-        entries_of_nodes(loop.policy),
+        _columns(_acting(loop, found), steps),
+        entries_of_nodes(loop.policy, loop.network),
     )
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
@@ -130,17 +133,41 @@ def record_loop(loop: Loop, steps: int, seed: int = 0, drawn: Array | None = Non
     return vector
 
 
-def _fates(found: dict[Name, Array], link: str) -> Array:
-    """Return for each step 0 if no packet was sent, or it was dropped, and otherwise 1 plus its delay in steps."""
+def _fates(loop: Loop, found: dict[Name, Array], link: str) -> Array:
+    """Return for each step 0 if no packet was sent, or it was dropped, and otherwise 1 plus its delay in pieces."""
     late = found.get(Arrived(link, 0))
-    return found[Received(link)] if late is None else np.where(late < NEVER, 1.0 + late, 0.0)
+    if late is None:
+        return found[Received(link)]
+    count, pieces = pieces_of_links(loop.network, loop.policy.tick)[link], loop.problem.pieces
+    whole, piece = np.divmod(late, 1 if pieces is None else len(pieces.cuts))
+    own = np.searchsorted(_places(loop), piece, side="right") - 1 if count > 1 else 0
+    return np.where(late < NEVER, 1.0 + whole * count + own, 0.0)
 
 
-def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
-    """Return the numbers of the plant's outputs and inputs, in the order in which nodes measure and apply them."""
-    names, links = roles(policy), plant_links(policy).values()
+def _places(loop: Loop) -> list[int]:
+    """Return the pieces of the plant's period with which those begin at which packets may arrive."""
+    cuts, pieces = loop.network.cuts(loop.policy.tick) or (0.0,), loop.problem.pieces
+    return [0] if pieces is None else [int(np.abs(np.array(pieces.cuts) - cut).argmin()) for cut in cuts]
+
+
+def _acting(loop: Loop, found: dict[Name, Array]) -> list[Array]:
+    """Return the inputs of the plant, in each piece of a period in which packets may arrive."""
+    m = loop.problem.plant.inputs
+    if Entry(ACTING, 0) not in found:
+        return [found[Entry("applied", i)] for i in range(m)]
+    return [found[Entry(ACTING, place * m + i)] for place in _places(loop) for i in range(m)]
+
+
+def entries_of_nodes(policy: Policy, network: Network) -> tuple[list[int], list[int]]:
+    """Return the numbers of the plant's outputs and inputs, in the order in which nodes measure and apply them.
+
+    If packets arrive within a period, the inputs of a node are those of its pieces, and of another one the last.
+    """
+    names, links, m = roles(policy), plant_links(policy).values(), policy.model.inputs
+    count = len(network.cuts(policy.tick) or (0.0,))
+    pieces = {role: range(count - acting_pieces(policy, network, role), count) for role in names}
     return [i for role in names for ends in links if ends.measures == role for i in ends.outputs], [
-        i for role in names for i in inputs_at(policy, role)
+        piece * m + i for role in names for piece in pieces[role] for i in inputs_at(policy, role)
     ]
 
 
@@ -347,7 +374,7 @@ def _print_check(name: str, nodes: Sequence[CNode], vector: RecordedRun, loop: L
     links = ", ".join(link_code(loop.policy, link) for link in vector.links)
     sizes = {
         "node_count": len(nodes), "link_count": len(vector.links), "measured": vector.measured.shape[1],
-        "drawn": vector.drawn.shape[1], "applied": vector.applied.shape[1], "rows": len(vector.sent),
+        "drawn": vector.drawn.shape[1], "applied": len(vector.order[1]), "rows": len(vector.sent),
     }  # fmt: skip
     numbers = [c_literal(float(value), loop.precision) for value in vector.rows.ravel()]
     lines += [
@@ -525,6 +552,10 @@ packets of an operator, those of kind 3 have no effect; `tac_setpoints(node, val
   `tac_step` also in a step in which no measurement arrives. The filter then predicts, a node without a filter holds the
   last measurement, and `node->counters.missing` counts the step.
 * A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
+* An actuator whose packets are **delayed at random** may act when a packet arrives: `tac_receive_in(node, datagram,
+  size, piece)` takes it in a piece of the running step (the nearest of those in `NODE_CUTS`), and `tac_act(node)` sets
+  `tac_input(node)`, whose last numbers are the input from now on. Then send what `tac_send` returns, and call
+  `tac_step` when the step is over. Without this, a packet acts at the next step.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a

@@ -47,7 +47,15 @@ from taciturn.model.wire import (
 from taciturn.program.c import CONSTANTS, REAL, ROOT, c_literal, constant_array, print_c, print_root
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, translate_node
+from taciturn.program.node import (
+    Arrival,
+    Layout,
+    NodeProgram,
+    first_inputs,
+    lay_out,
+    only_applies,
+    translate_node,
+)
 from taciturn.program.ops import Precision
 
 FORMAT = 6  # version of the data, TAC_FORMAT of the core
@@ -139,7 +147,7 @@ class NodeData(Displayed):
         for one in layout.arrivals:
             kind, link = KINDS.index(one.kind), self._links.index(one.link)
             found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
-            found += struct.pack(">I2B", self._interval(one), one.pieces > 0, one.ages)
+            found += struct.pack(">I2B", self._interval(one), one.pieces, one.ages)
         for one in layout.departures:
             found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
         for place in self.program.clocks:
@@ -167,7 +175,7 @@ class NodeData(Displayed):
         )  # fmt: skip
         channels = [
             f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
-            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u, {_truth(one.pieces > 0)}, {one.ages}u}}"
+            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u, {one.pieces}u, {one.ages}u}}"
             for one in layout.arrivals
         ]
         sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]
@@ -242,6 +250,7 @@ MOST = {
     "packets": 0xFF,
     "shapes": 0xFF,
     "sends": 31,
+    "applied": 0xFF,
 }  # limits of the types in the header
 
 
@@ -258,14 +267,13 @@ class CNode(Displayed):
 
 
 def check_delays(network: Network, period: float) -> None:
-    """Raise an error if packets arrive within a period, or later than the buffer of a node can hold."""
+    """Raise an error if packets arrive later than the buffer of a node can hold."""
     for link in network.late:
         most = network.longest(link, period)
-        if network.cuts(period) or most >= MOST_WAITING:
-            how = "may end within a period" if network.cuts(period) else f"are up to {most} steps"
+        if most >= MOST_WAITING:
             raise ProblemError(
-                f"{network.key(link, 'delay')} is random, and delays {how}, which exported C code does not carry out; "
-                f"expected delays of whole periods below {MOST_WAITING} steps, or a buffer"
+                f"{network.key(link, 'delay')} is random, and delays are up to {most} steps, which exported C code "
+                f"does not carry out; expected delays below {MOST_WAITING} steps, or a buffer"
             )
 
 
@@ -316,15 +324,20 @@ def print_node(
     roots = [print_root(precision)] if any(f"{ROOT}(" in text for text in sources) else []
     silences = silences_of(policy, program)
     told = [_SILENCE.format(name=name, links=links, total=i, lasted=k) for links, (i, k) in silences.items()]
-    body = "\n".join([*roots, *sources, *data.arrays(), data.text(), _START.format(name=name), *told])
+    # a second part reads the inputs of the step before, which a packet would overwrite
+    at_once = only_applies(program, layout) and len(program.parts) == 1
+    start = _START.format(name=name, spare="self->spare" if at_once else "NULL")
+    body = "\n".join([*roots, *sources, *data.arrays(), data.text(), start, *told])
     needs = [f"#include <{one}.h>\n" for one, word in (("math", "INFINITY"), ("string", "memcpy")) if word in body]
     source = f'{title}{"".join(needs)}#include "{name}.h"\n\n{body}'
     header = title + _HEADER.format(
         guard=f"{name.upper()}_H", name=name, site=" and ".join(sorted(program.site)),
         inputs=max(1, len(layout.inputs)), memory=max(1, len(program.parts[0].states)),
         outputs=max(1, len(program.parts[0].outputs)), channels=max(1, len(layout.arrivals)),
-        sends=max(1, len(layout.departures)), clocks=max(1, len(program.clocks)), applied=max(1, policy.model.inputs),
-        places=_places(policy, role, name, names or Names()),
+        sends=max(1, len(layout.departures)), clocks=max(1, len(program.clocks)),
+        applied=max(1, policy.model.inputs * program.acting),
+        spare=f"  tac_real spare[{max(1, len(program.parts[0].states))}];\n" if at_once else "",
+        places=_places(policy, role, name, names or Names()) + _pieces(name, program, network.cuts(policy.tick)),
         sized="".join(_SIZED_SILENCE.format(name=name, links=links) for links in silences),
         told="".join(
             _TOLD_SILENCE.format(name=name, links=links, stops=_STOPS if precision == "float32" else "")
@@ -352,6 +365,17 @@ def _places(policy: Policy, role: str, name: str, names: Names) -> str:
                 lines.append(f"#define {name.upper()}_{letter.upper()}_{own} {place}u /* {comment} */")
     shown = "/* Places of measurements y of tac_step and inputs u of tac_input, counted from 0. */"
     return "\n".join(["", shown, *lines, ""]) if lines else ""
+
+
+def _pieces(name: str, program: NodeProgram, cuts: tuple[float, ...]) -> str:
+    """Return constants for the pieces of a step in which an actuator hears packets."""
+    if program.acting == 1:
+        return ""
+    told = "/* Pieces of a step in which packets arrive, and the parts of a period at which they begin. */"
+    begins = ", ".join(c_literal(cut, "float64") for cut in cuts)
+    return "\n".join([
+        "", told, f"#define {name.upper()}_PIECES {program.acting}u", f"#define {name.upper()}_CUTS {{{begins}}}", ""
+    ])  # fmt: skip
 
 
 def _comment(text: str) -> str:
@@ -390,6 +414,7 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
         "packets": max(entries for _, entries in shapes.values()),
         "shapes": len(shapes),
         "sends": len(layout.departures),
+        "applied": 0 if layout.applied is None else layout.applied.stop - layout.applied.start,
     }
     for what, size in found.items():
         if size > MOST[what]:
@@ -485,7 +510,7 @@ typedef struct {{
   tac_real memory[{memory}];
   tac_real outputs[{outputs}];
   tac_real input[{applied}];
-  uint32_t sequences[{sends}];
+{spare}  uint32_t sequences[{sends}];
   uint16_t places[{clocks}];
 }} {name};
 
@@ -532,6 +557,7 @@ _START = """tac_node *{name}_start({name} *self, uint32_t epoch, uint16_t loop, 
   self->node.memory = self->memory;
   self->node.outputs = self->outputs;
   self->node.input = self->input;
+  self->node.spare = {spare};
   self->node.sequences = self->sequences;
   self->node.places = self->places;
   tac_start(&self->node, epoch, loop, key);

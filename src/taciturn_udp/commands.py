@@ -52,17 +52,17 @@ def read_probability(name: str, text: str) -> float:
 
 
 def read_fates(
-    given: Sequence[str], policy: Policy, network: Network, seed: int, period: float | None = None
+    given: Sequence[str], policy: Policy, network: Network, seed: int, tick: float | None = None
 ) -> dict[str, Fate]:
     """Return the impairments of each link; ``--loss`` replaces the losses of the problem's network.
 
-    Random delays need the sampling period, in virtual time.
+    In real time, ``tick`` is the duration of a step.
     """
     from taciturn.errors import ProblemError
     from taciturn.model.steps import Send
     from taciturn_udp.relay import losses
 
-    stated = losses(network, seed, period=period)
+    stated = losses(network, seed, period=policy.tick, tick=tick)
     fates: dict[str, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
     seen: set[str] = set()
     for text in given:
@@ -231,9 +231,7 @@ def network(
             "--loss is given with --namespaces, but only relays apply --loss, and namespaces have no relays; expected "
             "only one of the two options"
         )
-    fates = None if loss is None else read_fates(
-        loss, policy, problem.network, seed, policy.tick if length is None else None
-    )  # fmt: skip
+    fates = None if loss is None else read_fates(loss, policy, problem.network, seed, length)
     with progress_bar("running") as progress:
         found = run_network(
             file, settings=settings or (), steps=steps, tick=length, seed=seed, key=read_keys(key), fates=fates,
@@ -537,8 +535,9 @@ def relay(
         str | None,
         typer.Option(
             metavar="LAW",
-            help="In virtual time: law of random delays as JSON, such as "
-            '`{"delays": [0, 1], "odds": [[0.8, 0.2]]}`, in pieces of a period ("pieces").',
+            help="Law of random delays as JSON, such as "
+            '`{"delays": [0, 1], "odds": [[0.8, 0.2]]}`, in pieces of a period ("pieces"), for virtual time. With '
+            '"pieces": 0, delays are in seconds, for real time.',
         ),
     ] = None,
     duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet arrives twice.")] = "0",

@@ -6,6 +6,9 @@ begins a step when its measurement or its packet has arrived, or at an absolute 
 is earlier, so that its packet arrives before the deadlines of the others. It continues without a measurement only if
 its own clock shows that the plant should have sent one, and for a few steps: if the plant is silent, so is the node,
 and the watchdogs of its receivers expire. A packet of the plant may also state that a sample is missing.
+
+An actuator on a link that delays packets at random acts and acknowledges when a packet arrives (``Node.so_far``), and
+executes a step when it is over. A node that works once per step hears a packet in the step after its arrival.
 """
 
 from __future__ import annotations
@@ -21,15 +24,17 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import number_of
-from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
+from taciturn.model.coverage import INTERVALS, LATE, NETWORKS, Coverage
 from taciturn.model.packets import plant_link
 from taciturn.model.wire import EITHER, LARGEST, SETPOINT
-from taciturn.nodes.clock import JUMPED, LATE, Phase
-from taciturn.nodes.inbox import AHEAD, OPERATOR, USABLE, Window
+from taciturn.nodes.clock import JUMPED, Phase
+from taciturn.nodes.clock import LATE as BEHIND
+from taciturn.nodes.inbox import AHEAD, OPERATOR, USABLE, WIDTH, Window
 from taciturn.nodes.lateness import Lateness
 from taciturn.nodes.node import Measurement, Node, Values, check_seal, sealed
 from taciturn.nodes.packet import Packet, Wire
 from taciturn_udp.endpoint import Address, check_plant, peers_by_link
+from taciturn_udp.late import Counted
 from taciturn_udp.logs import Arrival, log_line, packet_times
 from taciturn_udp.proofs import OPERATED, Outbox, Reception
 from taciturn_udp.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
@@ -38,7 +43,7 @@ BLIND = 8  # steps without a measurement from the plant for which a node with a 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
-IN_REAL_TIME = Coverage(NETWORKS | INTERVALS, "nodes do not carry out in real time", "virtual time, or a buffer")
+IN_REAL_TIME = Coverage(NETWORKS | INTERVALS | LATE, "nodes do not carry out in real time", "virtual time")
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
 SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
@@ -105,7 +110,24 @@ class NodeServer:
         self._tick, self._wait = tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self._played = played_after(first, tick) if play_out else None
-        self.phase = Phase(tick or 1.0, self._played or 0.0)
+        heard = [*first.program.hears]
+        self._counted = None if tick is None else Counted(first.network, heard, first.policy.tick, tick)
+        spread = 0.0 if self._counted is None else self._counted.spread
+        self.phase = Phase(tick or 1.0, spread if self._played is None else self._played)
+        # seconds by which the steps begin after the phase, which is that of the packets with the least delay
+        self._after = self._played or 0.0
+        if self._counted is not None and not first.measures and self._played is None:
+            self._after = -self._counted.least
+        self._at_once = tick is not None and first.acts_at_once
+        if self._at_once and play_out:
+            raise ProblemError(
+                f"the {first.role} is to play packets out, but its link acknowledges packets, with the time at which "
+                "they act; expected a link without acknowledgements, or an actuator that acts at once"
+            )
+        if self._at_once:
+            first.check_acting()
+        # of nodes that act at once: step, number and values of the last input
+        self._shown: list[tuple[int, int, Values]] = [(-1, 0, ()) for _ in nodes]
         links = [*first.program.sends, *first.inbox.links, *([] if self._plant is None else [self._plant])]
         if tick is not None:
             IN_REAL_TIME.check(first.network)
@@ -280,13 +302,22 @@ class NodeServer:
                 self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
+        packet = self._dated(packet, now)
         self._note(packet, node.sort_in(packet), now, repeated)
+
+    def _dated(self, packet: Packet, now: float) -> Packet:
+        """Return a packet of a link with random delays with its delay, in real time; every other one as it is."""
+        counted = self._counted
+        if counted is None or packet.kind != "data" or packet.link not in counted.links:
+            return packet
+        after = now - self._begins_at(packet.tick) if self.phase.known else 0.0
+        return packet._replace(late=counted.pieces(packet.link, max(after, counted.least)))
 
     def _note(self, packet: Packet, handling: str, now: float, repeated: bool) -> None:
         """Draw the conclusions from a packet that a node has sorted in: it may correct the clock, and ends silence."""
         loop, node = packet.loop, self.nodes[packet.loop]
         # in lockstep, a step runs from the end of the step before
-        runs = node.tick + 1 if self._tick is None or not self.phase.known else self.phase.now(now)
+        runs = node.tick + 1 if self._tick is None or not self.phase.known else self._running(now)
         late = node.inbox.late_by(packet, runs)
         # acknowledgements arrive after their step, so they do not count; a packet far ahead shows a late phase
         if packet.link in node.program.hears and self._tick is not None and handling in USABLE | {"ahead"}:
@@ -328,7 +359,7 @@ class NodeServer:
                 self._report_overflow(node)
             out = list(packets)
             out += node.mark(0 if self._tick is None else self._heartbeat)
-            if given is not None:
+            if given is not None and not self._at_once:
                 out.append(self._input(node, tick, given))
             self._outbox.keep(loop, out)
             self._save(node)
@@ -337,7 +368,7 @@ class NodeServer:
             if loop in self._asked:
                 self._report_set_points(node, self._asked.pop(loop))
             if self._tick is not None and self.phase.known:
-                self._lateness.append(self._clock() - self.phase.begins(tick))
+                self._lateness.append(self._clock() - self._begins_at(tick) - self._at_once * self.phase.tick)
             if self._told is not None:
                 news, self._news[loop] = self._news[loop], {}
                 several = loop if len(self.nodes) > 1 else None
@@ -347,6 +378,19 @@ class NodeServer:
             now = self._clock()
             if not node.measures or self._seen[loop] == tick:
                 self._expires = now + self._patience
+        if self._at_once and self.phase.known:
+            self._act(node)
+
+    def _act(self, node: Node) -> None:
+        """Acknowledge the packets that have arrived in the step that is running, and apply the newest one."""
+        tick, loop = node.tick + 1, node.loop
+        packets, given = node.so_far(tick)
+        assert given is not None, "a node that acts at once applies inputs"
+        out = list(packets)
+        if (tick, given) != (self._shown[loop][0], self._shown[loop][2]):
+            out.append(self._input(node, tick, given))
+        self._outbox.keep_more(loop, out)
+        self._outbox.send(out)
 
     def _measured_in(self, node: Node, tick: int) -> Measurement | None:
         """Return the measurement of a step; if none has arrived, all outputs are missing."""
@@ -361,7 +405,7 @@ class NodeServer:
 
         A node with a sensor is less sure: it continues without a measurement only if the plant would have sent one.
         """
-        most = LATE if self.nodes[0].measures else JUMPED
+        most = BEHIND if self.nodes[0].measures else JUMPED
         return self._tick is not None and self._strayed > most * self._tick
 
     def _notice(self, now: float, until: float) -> None:
@@ -374,7 +418,7 @@ class NodeServer:
             self._strayed = min(self._strayed, self.phase.late)
         else:
             passed, knew = now - max(until, self._turned), not self._unsure
-            self._strayed += passed if passed > LATE * self.phase.tick else 0.0
+            self._strayed += passed if passed > BEHIND * self.phase.tick else 0.0
             if knew and self._unsure:
                 self._expires = now + self._patience
         self._turned, self._confirmed = now, self.phase.confirmations
@@ -394,18 +438,24 @@ class NodeServer:
             return first
         if not self.phase.known or self._unsure:
             return first
-        if self._played is not None:
-            tick = self._coming(node.tick, max(0, self.phase.now(now - self._played)))
+        if self._played is not None or self._at_once:
+            tick = self._coming(node.tick, self._present(now))
             return tick if now >= self._deadline(tick) else None
         prompt = [link for link, lag in node.listens.items() if lag == 0]
+        timed = self._counted is not None and bool(self._counted.links)  # packets of earlier steps may still come
 
         def settled(tick: int) -> bool:
-            return bool(prompt) and not node.measures and all(node.inbox.settled(link, tick) for link in prompt)
+            return (
+                bool(prompt)
+                and not timed
+                and not node.measures
+                and all(node.inbox.settled(link, tick) for link in prompt)
+            )
 
         come = node.tick
         while come >= 0 and settled(come + 1):  # a slow clock may be behind the packets
             come += 1
-        tick = self._coming(node.tick, max(self.phase.now(now), come))
+        tick = self._coming(node.tick, max(self._running(now), come))
         if node.measures and ((first is not None and first <= tick) or self._is_blind(node, tick)):
             return first
         return tick if settled(tick) or now >= self._deadline(tick) else None
@@ -415,11 +465,25 @@ class NodeServer:
         return not 0 <= self._seen[node.loop] >= tick - BLIND
 
     def _deadline(self, tick: int) -> float:
-        """Return the time until which a step waits for its measurement or its packets, or at which it plays them."""
+        """Return the time until which a step waits for its measurement or its packets, plays them, or is over."""
+        if self._at_once:
+            return self._begins_at(tick + 1)
         if self._played is not None:
-            return self.phase.begins(tick) + self._played
-        wait = min(self._wait, LATE) if self.nodes[0].measures else self._wait
-        return self.phase.begins(tick) + wait * self.phase.tick
+            return self._begins_at(tick)
+        prompt = self.nodes[0].measures or (self._counted is not None and bool(self._counted.links))
+        return self._begins_at(tick) + (min(self._wait, BEHIND) if prompt else self._wait) * self.phase.tick
+
+    def _begins_at(self, tick: int) -> float:
+        """Return the time at which a step begins, or at which its packets are played out."""
+        return self.phase.begins(tick) + self._after
+
+    def _running(self, now: float) -> int:
+        """Return the step that is running, or whose packets are being played out."""
+        return self.phase.now(now - self._after)
+
+    def _present(self, now: float) -> int:
+        """Return the step to execute at the present time: the running one, or the last one if it ends with packets."""
+        return max(0, self._running(now) - self._at_once)
 
     def _coming(self, last: int, present: int) -> int:
         """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
@@ -443,7 +507,11 @@ class NodeServer:
     def _input(self, node: Node, tick: int, given: Values) -> Packet:
         """Return the packet that carries the input of a step to the plant."""
         assert self._plant is not None, "a node that applies inputs has a link with the plant"
-        return Packet("input", self._plant, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)
+        number = tick & 0xFFFFFFFF
+        if self._at_once:  # several inputs in a step, each with a number of its own
+            number = (self._shown[node.loop][1] + 1) & 0xFFFFFFFF
+            self._shown[node.loop] = tick, number, given
+        return Packet("input", self._plant, tick, number, given, node.epoch, node.loop)
 
     def _report_overflow(self, node: Node) -> None:
         """Print, the first time for each node, that it holds because its numbers are too large."""
@@ -483,7 +551,7 @@ class NodeServer:
             idle = min(idle, self._expires)
         if self._tick is None or not self.phase.known or self._unsure:
             return idle
-        present = max(0, self.phase.now(self._clock() - (self._played or 0.0)))
+        present = self._present(self._clock())
         due = [(node, self._coming(node.tick, present)) for node in self.nodes]
         due = [(node, tick) for node, tick in due if not (node.measures and self._is_blind(node, tick))]
         return min([idle, *(self._deadline(tick) for _, tick in due)])
@@ -496,6 +564,7 @@ class NodeServer:
             "node": node.save(),
             "measured": self._measured[0].save(),
             "outbox": self._outbox.save(),
+            "inputs": self._shown[0][1],
             "sessions": self.reception.save(),
         }
         self._keep.write(json.dumps(sealed(kept)).encode())
@@ -507,6 +576,7 @@ class NodeServer:
             check_seal(kept, f"the saved state {self._keep}")
             self._measured[0].restore(kept["measured"])
             self._outbox.restore(kept["outbox"])
+            self._shown[0] = -1, kept.get("inputs", 0) + WIDTH // 2, ()  # beyond those after the state was saved
             self.reception.restore(kept["sessions"])
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ProblemError(

@@ -51,8 +51,9 @@ class Physical(Protocol):
 class _Inputs:
     """The inputs that one process sends to a plant."""
 
-    def __init__(self, places: Sequence[int]) -> None:
-        self.places, self.values = places, (0.0,) * len(places)
+    def __init__(self, places: Sequence[int], entries: int) -> None:
+        """Start with zeros, in all pieces of a step in each of which a packet has another input."""
+        self.places, self.values = places, (0.0,) * entries
         self.forget()
 
     def forget(self) -> None:
@@ -104,7 +105,9 @@ class PlantServer:
         self._sensors = peers_by_link("the plant", sensor, [link for link, ends in wire.plant.items() if ends.outputs])
         self._tick, self._told, self._say = tick, told, say
         applied = {link: ends.inputs for link, ends in wire.plant.items() if ends.inputs}
-        self._inputs = [{link: _Inputs(places) for link, places in applied.items()} for _ in plants]
+        self._inputs = [
+            {link: _Inputs(places, wire.entries("input", link)) for link, places in applied.items()} for _ in plants
+        ]
         self._shift = 0  # number of the first step, which nodes that already run determine
         self._zero: float | None = None  # time at which the first step begins
         self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
@@ -272,7 +275,9 @@ class PlantServer:
         if packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
-            one.waiting[packet.tick] = packet
+            known = one.waiting.get(packet.tick)
+            if known is None or (packet.epoch, packet.sequence) > (known.epoch, known.sequence):
+                one.waiting[packet.tick] = packet  # an actuator that acts at once sends one for each packet
             self.taken += 1
         elif (packet.epoch, packet.tick) > one.given:
             one.apply(packet)

@@ -183,6 +183,12 @@ class Outbox:
         """Store a step's packets, so that they can be sent again."""
         self._last[loop].append(packets)
 
+    def keep_more(self, loop: int, packets: list[Packet]) -> None:
+        """Store further packets of the last step."""
+        if not self._last[loop]:
+            self._last[loop].append([])
+        self._last[loop][-1] += packets
+
     def send(self, packets: Sequence[Packet]) -> None:
         """Send packets to the receivers of their links."""
         for packet in packets:

@@ -10,8 +10,8 @@
 | `trigger` | value of silence in the decision to send, as in ``simulate``; empty if no signal decides |
 
 A row of ``signals.csv`` has the measurement and the input of a step, and the set-points of the simulated plant, with
-the names of ``taciturn simulate --table``. In virtual time, times are those of the steps. If a node has sent a packet
-again, its first sending and its first arrival count.
+the names of ``taciturn simulate --table``. In virtual time, times are those of the steps, and delays those that the
+links draw. If a node has sent a packet again, its first sending and its first arrival count.
 
 The rows come from the logs of the nodes, which the run reads meanwhile (``logs``), so a node does no further
 work. A packet without an arrival waits in a table of at most ``WIDTH`` packets for each link, as its receiver refuses
@@ -51,6 +51,7 @@ SOME = 64  # rows that are written at once; between them, the thread of the plan
 EVENTS = ("sent", "delivered", "late", "lost")
 Cell: TypeAlias = float | int | str | None
 Lost: TypeAlias = Callable[[int, int], bool]  # whether a link drops the packet of a sequence number and a step
+Drawn: TypeAlias = Callable[[int, int], float | None]  # its random delay in seconds; None if it never arrives
 
 
 @dataclass(frozen=True)
@@ -65,11 +66,20 @@ class Record:
     """Files of a record, which a run fills."""
 
     # ``tick`` is the duration of a step in real time, None in virtual time. ``lost`` has functions that tell whether a
-    # link drops a packet; a packet of another link is lost if it does not arrive.
+    # link drops a packet; a packet of another link is lost if it does not arrive. ``drawn`` has functions that tell the
+    # delays that links draw in virtual time, in which packets arrive with the steps.
 
-    def __init__(self, folder: Path, loop: Loop, wire: Wire, tick: float | None, lost: Mapping[str, Lost]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        loop: Loop,
+        wire: Wire,
+        tick: float | None,
+        lost: Mapping[str, Lost],
+        drawn: Mapping[str, Drawn] | None = None,
+    ) -> None:
         """Create the files, with their headers."""
-        self.folder, self._real, self._lost = folder, tick is not None, lost
+        self.folder, self._real, self._lost, self._drawn = folder, tick is not None, lost, drawn or {}
         policy = loop.policy
         self._period, self._loop = policy.model.dt or 1.0, loop
         laws, period = policy.network.links, self._period
@@ -185,12 +195,14 @@ class Record:
     def _arrive(self, link: str, came: Arrival) -> None:
         sent = self._roads[link].pop((came.epoch, came.sequence), None)
         event = "late" if came.late > 0 or came.missed else "delivered"
-        late = 0 if self._real else came.late  # in virtual time, a packet takes whole steps
-        at = self._time(came.time, came.step + late)
-        # in virtual time, the simulated plant shows the constant delay of a link
-        waited = 0.0 if self._real else self._waits.get(link, 0.0)
-        at += waited
-        delay = None if sent is None else at - sent.time if self._real else late * self._period + waited
+        at = self._time(came.time, came.step)
+        delay = None if sent is None else at - sent.time
+        if not self._real:
+            drawn = self._drawn.get(link)
+            after = None if drawn is None else drawn(came.sequence, came.step)
+            # the simulated plant shows the constant delay of a link; another packet takes whole steps
+            waited = self._waits.get(link, 0.0) + came.late * self._period if after is None else after
+            at, delay = at + waited, None if sent is None else waited
         self._add(_Sent(at, came.step), link, event, delay)
 
     def _add(self, at: _Sent, link: str, event: str, delay: Cell = None, trigger: Cell = None) -> None:

@@ -27,10 +27,8 @@ from taciturn_udp.service import IDLE, QUIET, Port
 
 _WORD = (1 << 64) - 1
 _LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT, _LATE, _PIECE = range(1, 11)
-EMULATED = Coverage(
-    NETWORKS | INTERVALS, "links emulate only between nodes in virtual time", "virtual time, or a link with a buffer"
-)
-DELAYED = Coverage(EMULATED.names | LATE, "running links do not emulate")
+DELAYED = Coverage(NETWORKS | INTERVALS | LATE, "running links do not emulate")
+EMULATED = Coverage(NETWORKS | INTERVALS, "only relays emulate", "a network of relays, or a link with a buffer")
 MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
 
 
@@ -49,7 +47,7 @@ class Fate(Displayed):
         reorder: probability that a packet is delivered after its successor.
         corrupt: probability that one to three bits of a packet are inverted.
         outage: (first, end): every packet of a step in first ≤ step < end is dropped.
-        late: law of random delays; for runs in virtual time.
+        late: law of random delays, of packets; marks take the least of them.
 
     Raises:
         ProblemError: a probability is outside [0, 1], a time is negative, loss and burst are both given, or an outage
@@ -88,6 +86,11 @@ class Fate(Displayed):
         if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
             raise ProblemError(f"the outage is {self.outage}; expected (first, end) with 0 <= first < end")
 
+    @property
+    def timed(self) -> Lateness | None:
+        """The law of random delays if they are in seconds, for runs in real time; otherwise None."""
+        return None if self.late is None or self.late.pieces else self.late
+
     def uniform(self, purpose: int, index: int) -> float:
         """Return a pseudo-random number in [0, 1), as a function of seed, purpose and index only."""
         return uniform(self.seed, purpose, index)
@@ -99,11 +102,11 @@ class Fate(Displayed):
         chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
         return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
 
-    def late_by(self, sequence: int, tick: int, loop: int = 0) -> int | None:
-        """Return the random delay of a packet in pieces of a period, or None if it never arrives."""
+    def late_by(self, sequence: int, tick: int, loop: int = 0) -> float | None:
+        """Return the random delay of a packet as its law counts it, or None if it never arrives."""
         law = self.late
         if law is None or law.sequence:
-            return 0 if law is None else law.replayed(tick, lambda index: self.uniform(_PIECE, index))
+            return 0.0 if law is None else law.replayed(tick, lambda index: self.uniform(_PIECE, index))
         state = 0 if self.burst is None else self._state_at(self.burst, tick)
         return law.drawn(self.uniform(_LATE, of_loop(sequence, loop)), state)
 
@@ -130,10 +133,11 @@ def losses(
     seed: int,
     outages: Mapping[str, tuple[int, int] | None] | None = None,
     period: float | None = None,
+    tick: float | None = None,
 ) -> dict[str, Fate]:
     """Return the impairments of each link of a network, including an outage, in which a link drops every packet.
 
-    Random delays need the sampling period in which virtual time counts them.
+    Random delays need the sampling period, whose real duration is ``tick``, or None in virtual time.
     """
     (EMULATED if period is None else DELAYED).check(network)
     links = tuple(reversed(tuple(network.links)))
@@ -143,7 +147,7 @@ def losses(
             loss=0.0 if network.burst(link) else network.loss(link),
             burst=network.burst(link),
             outage=(outages or {}).get(link),
-            late=None if period is None else Lateness.of(network, link, period),
+            late=None if period is None else Lateness.of(network, link, period, tick),
         )
         for i, link in enumerate(links)
     }
@@ -177,7 +181,7 @@ class EmulatedLink:
 
         A mark reports that all packets of its step were sent before it. Marks and answers to challenges are never
         dropped. They are delayed by ``delay``, or longer if a packet sent before them is. They overtake only packets
-        that ``hold`` or ``reorder`` delays. A malformed packet is dropped.
+        that ``hold``, ``reorder`` or, in real time, ``late`` delays. A malformed packet is dropped.
         """
         if len(datagram) < HEADER_SIZE:
             self.counters["foreign"] += 1
@@ -187,10 +191,12 @@ class EmulatedLink:
             self.counters["marks" if kind == MARK else "answers"] += 1
             free = [old for let, old in self._held if let <= tick]
             self._held = [(let, old) for let, old in self._held if let > tick]
-            if not self._waiting and self.fate.delay == 0.0:
+            timed = self.fate.timed
+            delay = self.fate.delay + (0.0 if timed is None else timed.delays[0])
+            if delay == 0.0 and (timed is not None or not self._waiting):
                 return [*self._out(free), datagram]
             last = max((due for due, *_ in self._waiting), default=now)
-            self._wait([datagram], max(now + self.fate.delay, last), mark=True)
+            self._wait([datagram], max(now + delay, now if timed is not None else last), mark=True)
             return self._out(free)
         self.counters["received"] += 1
         fate = self.fate
@@ -212,8 +218,11 @@ class EmulatedLink:
         elif self._swapped is not None:
             copies.append(self._swapped)
             self._swapped = None
+        if fate.timed is not None:
+            self._wait(copies, now + fate.delay + fate.jitter * fate.uniform(_WAIT, sequence) + late)
+            return []
         if fate.late is not None:
-            tick, copies = tick + late // fate.late.pieces, [stamped(copy, late) for copy in copies]
+            tick, copies = tick + int(late) // fate.late.pieces, [stamped(copy, late) for copy in copies]
         return self._send(copies, sequence, tick, now)
 
     def release(self, now: float) -> list[bytes]:

@@ -23,6 +23,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Send
+from taciturn.nodes.inbox import LATE_ANSWER
 from taciturn.nodes.keys import Keys, read_keys
 from taciturn.nodes.packet import Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
@@ -36,11 +37,12 @@ from taciturn.study.evaluation import cost_unit
 from taciturn.study.sentences import WITHDRAWN
 from taciturn_udp.averages import cost_of_ticks, rate_of_ticks, remark_on_rates
 from taciturn_udp.endpoint import Endpoint, parse_address
+from taciturn_udp.late import Lateness
 from taciturn_udp.logs import PART, Logs
 from taciturn_udp.namespaces import Counted, KernelLoss, Namespaces, kernel_losses, predict_drops
 from taciturn_udp.plant import PlantServer
 from taciturn_udp.processes import Processes
-from taciturn_udp.record import Lost, Record
+from taciturn_udp.record import Drawn, Lost, Record
 from taciturn_udp.relay import Fate, losses
 from taciturn_udp.result import NetworkRun, uncertified
 from taciturn_udp.service import Told
@@ -109,15 +111,16 @@ def run_network(
     if fates is not None:
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
-    stated = losses(problem.network, seed, period=policy.tick if tick is None and not namespaces else None)
+    stated = losses(problem.network, seed, period=None if namespaces else policy.tick, tick=tick)
     chosen = fates if fates is not None else stated
     relayed = {**losses(Network(), seed), **chosen}
     lost = {link: _dropped(one) for link, one in drops.items()} if namespaces else _foreseen(relayed)
+    drawn = {} if tick is not None or namespaces else drawn_delays(problem.network, policy, relayed)
     began = time.monotonic()
     with (
         temporary_folder() as folder,
         Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
-        nullcontext() if record is None else closing(Record(Path(record), loop, wire, tick, lost)) as written,
+        nullcontext() if record is None else closing(Record(Path(record), loop, wire, tick, lost, drawn)) as written,
     ):
         changed = [part for text in settings for part in ("--set", text)] if read else []
         changed += [] if functions else ["--no-functions"]
@@ -165,7 +168,7 @@ def run_network(
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
     rates = {link: rate_of_ticks(loop, sends[link]).scaled(pace) for link in policy.scheduled if link in sends}
-    differences = loop.violated_assumptions + _other_links(chosen, stated)
+    differences = loop.violated_assumptions + _other_links(chosen, stated) + told_too_late(reports)
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),
@@ -209,9 +212,30 @@ def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
 
 
+def told_too_late(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the nodes that were told too late when their packets have arrived: they decided without knowing it."""
+    counted = {role: report.get("degraded", {}).get(LATE_ANSWER, 0) for role, report in reports.items()}
+    return tuple(
+        f"{number_of(number, 'acknowledgement')} came to the {role} after the step that needs it"
+        for role, number in counted.items()
+        if number
+    )
+
+
 def _foreseen(fates: Mapping[str, Fate]) -> dict[str, Lost]:
     """Return for each link whether its relay drops a packet."""
     return {link: fate.lost for link, fate in fates.items()}
+
+
+def drawn_delays(network: Network, policy: Policy, fates: Mapping[str, Fate]) -> dict[str, Drawn]:
+    """Return for each link that delays packets by the law of the network the delay of a packet in seconds."""
+    found = dict[str, Drawn]()
+    for link in network.late:
+        fate = fates.get(link)
+        if fate is not None and fate.late == Lateness.of(network, link, policy.tick):
+            late = Lateness.of(network, link, policy.tick, policy.model.dt or 1.0)
+            found[link] = replace(fate, late=late).late_by
+    return found
 
 
 def _dropped(loss: KernelLoss) -> Lost:

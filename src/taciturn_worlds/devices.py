@@ -113,7 +113,8 @@ class DeviceCode:
             getattr(self.code, name).restype = c.c_size_t
         self.code.tac_behind.restype = c.c_uint64
         for name in (
-            "tac_receive",
+            "tac_receive_in",
+            "tac_act",
             "tac_step",
             "tac_degraded",
             "tac_silent",
@@ -221,10 +222,13 @@ class DeviceNode(Node):
         """Return whether a step's packet on a link has arrived, or is known not to be sent."""
         return self._code.shim_settled(self._self, c.c_uint8(self.wire.links.index(link)), c.c_uint64(tick))
 
-    def receive(self, datagram: bytes) -> str:
-        """Pass a datagram to the device; return ``waiting`` if the device can use it, or the counter that counts it."""
+    def receive(self, datagram: bytes, piece: int = 0) -> str:
+        """Pass a datagram to the device; return ``waiting`` if the device can use it, or the counter that counts it.
+
+        It has arrived in a piece of the step after the last one.
+        """
         before = [self.counters[name] for name in DROPPED]
-        usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
+        usable = self._code.tac_receive_in(self._self, datagram, c.c_size_t(len(datagram)), c.c_uint8(piece))
         self._count()
         if usable:
             self._unheard = False
@@ -252,6 +256,13 @@ class DeviceNode(Node):
             self._inputs = self._numbers("shim_inputs", len(self._inputs))
             self._memory = self._numbers("shim_memory", len(self._memory))
         self._count()
+        return Stepped(self.sent(), self._output())
+
+    def so_far(self, tick: int) -> Stepped:
+        """Return what the device does in its next step with the packets that have arrived."""
+        self.check_acting()
+        self._code.tac_act(self._self)
+        self._inputs = self._numbers("shim_inputs", len(self._inputs))
         return Stepped(self.sent(), self._output())
 
     def expire(self) -> Values | None:
@@ -332,7 +343,8 @@ class DeviceServer(NodeServer):
 
     def _give(self, datagram: bytes, sender: Address) -> None:
         """Give a datagram to the device, and send the challenges and answers that it returns."""
-        packet, found = self.wire.decode(datagram), self._device.receive(datagram)
+        packet = self.wire.decode(datagram)
+        found = self._device.receive(datagram, self._piece_of(packet) if isinstance(packet, Packet) else 0)
         if found != packet if isinstance(packet, str) else found in REFUSALS:
             raise ProblemError(
                 f"the {self._device.role} in C classifies a datagram as {found}, but a node in Python as {packet}"
@@ -344,6 +356,18 @@ class DeviceServer(NodeServer):
                 self.endpoint.send(self.wire.encode(answer), sender)
             else:
                 self._outbox.send([answer])
+
+    def _piece_of(self, packet: Packet) -> int:
+        """Return in which piece of the step after the last one a packet has arrived."""
+        node, now = self._device, self._clock()
+        pieces = node.program.pieces.get(packet.link, 0)
+        if not node.acts_at_once or not pieces or packet.kind != "data":
+            return 0
+        late = self._dated(packet, now).late
+        due = packet.tick + late // pieces
+        if due > node.tick + 1:  # the nearest piece is one of the next step, so the present step is over
+            self._go_on(node, now + self.phase.tick / 2)
+        return pieces - 1 if due > node.tick + 1 else late % pieces if due == node.tick + 1 else 0
 
     def _is_physical(self, datagram: bytes) -> bool:
         """Return whether a datagram is exchanged with the plant; the device itself takes set-points."""

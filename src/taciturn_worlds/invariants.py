@@ -123,6 +123,7 @@ class Monitor:
         self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
         self._applied: dict[str, Order] = {}  # by link of the plant
         self.data: dict[str, list[tuple[int, Values]]] = defaultdict(list)  # step and payload of the data, by link
+        self.numbers: dict[str, dict[int, int]] = defaultdict(dict)  # of these, by link and step
         self.used: dict[str, dict[Values, int]] = defaultdict(dict)  # step that has read a payload, by link
         self.snapshots: dict[int, dict[Entry, float]] = defaultdict(dict)
         self.ticks = 0  # steps of nodes
@@ -159,6 +160,9 @@ class Monitor:
             if order in known:
                 return  # again, after a challenge
             bisect.insort(known, order)
+            size = len(self._plant[packet.link].inputs) if packet.kind == "input" else len(values)
+            if size < len(values):  # the input of the last piece of a step, which the plant may hold
+                bisect.insort(self._sent[packet.kind, packet.link, values[-size:]], order)
         if packet.link in self._plant:
             life = self.lives.get(role)
             if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
@@ -177,6 +181,7 @@ class Monitor:
             self._numbered[number] = packet
             if packet.kind == "data":
                 self.data[packet.link].append((packet.tick, packet.values))
+                self.numbers[packet.link][packet.tick] = packet.sequence
             last = self._last.get((role, packet.link, packet.epoch))
             if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
                 self.fail(
@@ -237,11 +242,15 @@ class Monitor:
 
     def applied(self, line: Mapping[str, Any]) -> None:
         """Check the input that the plant applies at a step: it must not be older than an input applied before."""
+        m = 1 + max(i for ends in self._plant.values() for i in ends.inputs)
         for link, ends in self._plant.items():
-            values, last = tuple(line["u"][i] for i in ends.inputs), self._applied.get(link, BEFORE)
+            values = tuple(line["u"][k + i] for k in range(0, len(line["u"]), m) for i in ends.inputs)
+            row, last = values[-len(ends.inputs) :], self._applied.get(link, BEFORE)
             if last == BEFORE and not any(values):
                 continue
             order = self._next("input", link, values, last)
+            if order is None and values == row * (len(values) // len(row)):  # the plant holds it in all pieces
+                order = self._next("input", link, row, last)
             if order is None:
                 self.fail(ORDER, f"the plant applies {list(values)}, which is older than the input of step {last[1]}")
                 return

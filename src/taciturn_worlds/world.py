@@ -3,6 +3,9 @@
 The servers of the nodes and of the plant are those that run over UDP, in real time; their clocks and sockets are
 virtual. A ``KeyRing`` has the secrets of each link, and the keys that every process has in its file. A world breaks if
 an invariant does not hold (``taciturn_worlds.invariants``).
+
+Losses of the network are left to the faults. A link with random delays delays each packet by its law, with the draws of
+``taciturn network``, and marks by the least delay.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.extend import count, number_of
 from taciturn.loop import Loop
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import is_acknowledged, links_to, outputs_at, peers_of, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy
@@ -35,6 +38,7 @@ from taciturn.problem import Problem
 from taciturn_udp.endpoint import Address
 from taciturn_udp.nodes import NodeServer
 from taciturn_udp.plant import PlantServer
+from taciturn_udp.relay import losses
 from taciturn_udp.service import usual_wait
 from taciturn_worlds.devices import DeviceNode, DeviceServer, NoCompilerError, compile_devices
 from taciturn_worlds.faults import (
@@ -134,7 +138,7 @@ class KeyRing:
         return Keys.same(other if former else self._draws.bytes(MOST_KEY))
 
 
-WORLDS = Coverage(LOOPS, "worlds of faults do not carry out")
+WORLDS = Coverage(LOOPS | LATE, "worlds of faults do not carry out")
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes
 WATCHDOG, HEARTBEAT = 12, 4  # steps of the watchdog and between marks
@@ -238,6 +242,9 @@ class World:
         )
         self.roles = roles(policy)
         self.links: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
+        self._fates = {
+            link: fate for link, fate in losses(loop.network, seed, None, policy.tick, 1.0).items() if fate.late
+        }
         self.lag = {
             link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
         }
@@ -352,11 +359,21 @@ class World:
 
     def _check_used(self, first: int, end: int) -> None:
         for link in self.links:
-            for tick, values in self.monitor.data[link]:
-                if first <= tick < end - self.lag[link] and values not in self.monitor.used[link]:
+            newest = end - self.lag[link]  # step in which the newest packet arrived of those sent after the present one
+            for tick, values in sorted(self.monitor.data[link], reverse=True):
+                late = self._late(link, tick)
+                if late is None or tick + int(late) >= newest:
+                    continue  # it never arrives, or in the step of a newer one or after it
+                newest = newest if link not in self._fates else tick + int(late)
+                if first <= tick and values not in self.monitor.used[link]:
                     self.monitor.fail(
                         RECOVERY, f"the packet of step {tick} on the {link} link was not used, after all faults"
                     )
+
+    def _late(self, link: str, tick: int) -> float | None:
+        """Return the random delay in steps of the packet of a step, or None if it never arrives."""
+        fate, sequence = self._fates.get(link), self.monitor.numbers[link].get(tick, 0)
+        return 0.0 if fate is None else fate.late_by(sequence, tick)
 
     def _paths(self) -> list[tuple[str, Path]]:
         ends = self.wire.plant.items()
@@ -400,9 +417,11 @@ class World:
 
     def _carry(self, sender: Address, to: Address, datagram: bytes) -> list[tuple[float, bytes]]:
         path, now = (sender[0], to[0]), self.step()
-        self.monitor.sent(self.wires[sender[0]].decode(datagram), sender[0])
+        packet = self.wires[sender[0]].decode(datagram)
+        self.monitor.sent(packet, sender[0])
         known = self._history[path]
-        flights: Flights = [(LATENCY, datagram)]
+        late = self._delay(packet) if isinstance(packet, Packet) else 0.0
+        flights: Flights = [] if late is None else [(LATENCY + late, datagram)]
         for fault in self._on_links:
             if fault.path == path and fault.first <= now < fault.first + fault.steps:
                 flights = fault.act(flights, len(known))
@@ -411,6 +430,13 @@ class World:
             if copy == datagram:
                 self._at(now + delay, lambda: self.monitor.heard(to[0], sender[0]))
         return [(delay * TICK, copy) for delay, copy in flights]
+
+    def _delay(self, packet: Packet) -> float | None:
+        """Return how many steps the law of a link delays a packet or a mark, or None if it never arrives."""
+        fate = self._fates.get(packet.link)
+        if fate is None or fate.late is None or packet.kind not in ("data", "mark") or packet.back:
+            return 0.0
+        return fate.late_by(packet.sequence, packet.tick) if packet.kind == "data" else fate.late.delays[0]
 
     def _at(self, step: float, event: Callable[[], None]) -> None:
         self.time.at(step * TICK, event)

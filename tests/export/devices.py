@@ -115,7 +115,7 @@ def compile_node(
     code.tac_heard.restype = code.tac_behind.restype = c.c_uint64
     for name in ("shim_size", "tac_encode", "tac_send", "tac_save"):
         getattr(code, name).restype = c.c_size_t
-    for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore"):
+    for name in ("tac_receive_in", "tac_act", "tac_step", "tac_degraded", "tac_silent", "tac_restore"):
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
     sizes = len(outputs_at(policy, role)), len(inputs_at(policy, role)), int(memory)
@@ -185,9 +185,13 @@ class Device:
         kind, link = KINDS[found.kind], self.library.links[found.link]
         return Packet(kind, link, found.tick, found.sequence, values, found.epoch, found.loop, found.back, found.nonce)
 
-    def receive(self, datagram: bytes) -> bool:
-        """Take a datagram."""
-        return self.code.tac_receive(self.node, datagram, c.c_size_t(len(datagram)))
+    def receive(self, datagram: bytes, piece: int = 0) -> bool:
+        """Take a datagram, which has arrived in a piece of the next step."""
+        return self.code.tac_receive_in(self.node, datagram, c.c_size_t(len(datagram)), c.c_uint8(piece))
+
+    def act(self) -> bool:
+        """Act with the packets that have arrived."""
+        return self.code.tac_act(self.node)
 
     def step(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
         """Go through a step, in as many calls as missed steps take."""

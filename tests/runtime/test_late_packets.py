@@ -51,6 +51,7 @@ def loops() -> dict[str, Callable[[], Loop]]:
 
     burst = {"law": "gilbert-elliott", "to_bad": 0.1, "to_good": 0.3, "loss_good": 0.0, "loss_bad": 0.4}
     states = [[0.9, 0.1], [0.2, 0.6]]
+
     def unheard(policy: dict[str, object], given: bool = False, resting: bool = False, **link: Any) -> Loop:
         problem = pendulum({"delta": 0.05, **policy}, **{"acknowledged": False, **link})
         if resting:

@@ -22,6 +22,7 @@ from taciturn_udp.nodes import NodeServer
 from taciturn_udp.plant import PlantServer
 from taciturn_udp.record import Record
 from taciturn_udp.relay import EmulatedLink, Fate
+from taciturn_udp.run import drawn_delays
 from taciturn_udp.service import usual_wait
 from taciturn_worlds.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 
@@ -63,7 +64,8 @@ def run_virtually(
 
     network = VirtualNetwork(now, carry)
     clock = VirtualClock(now)
-    record = Record(folder / "record", loop, wire, tick, {link: one.fate.lost for link, one in links.items()})
+    drawn = {} if tick is not None else drawn_delays(problem.network, policy, fates)
+    record = Record(folder / "record", loop, wire, tick, {link: one.fate.lost for link, one in links.items()}, drawn)
     plant_port = VirtualPort(network, ("plant", 0))
     measuring = {link: (ends.measures, 0) for link, ends in wire.plant.items() if ends.measures is not None}
     plant = PlantServer(

@@ -43,7 +43,7 @@ class Phase:
             self.zero, self._last = found, tick
             return True
         off = found - self.zero
-        if abs(off) > JUMPED * self.tick:
+        if off < -JUMPED * self.tick or off > JUMPED * self.tick + self._spread:
             agrees = abs(found - self._jump) < JUMPED * self.tick
             self._jump, self._agreed = found, self._agreed + 1 if agrees else 1
             if self._agreed < AGREED:

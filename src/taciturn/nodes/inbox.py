@@ -43,6 +43,7 @@ WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
 AHEAD = 64  # largest number of steps by which a packet may be early
 Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "superseded", "ahead", "marks", "waiting", "late"]
+LATE_ANSWER = "late acknowledgement"  # which degrades a node
 OPERATOR = "setpoint", SETPOINT  # kind and link of an operator's packets with set-points
 BY_HAND = "manual", SETPOINT  # and of those with manual inputs
 USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
@@ -279,19 +280,29 @@ class Inbox:
                 self.counters["used"] += 1
                 inputs[stream.at + wanted - packet.tick] = float(packet.late % stream.pieces)
             return come
-        # a packet of a step that this node has missed is heard now
-        newer = [stream.dated(one, wanted) for one in come if one.tick > stream.newest]
-        used, size = set[int](), 1 + stream.size
-        for piece in range(stream.pieces):
-            here = [one for one in newer if one.late % stream.pieces <= piece]
-            best = max(here, key=lambda one: one.tick, default=None)
-            used |= set[int]() if best is None else {best.tick}
-            arrived = (0.0,) * size if best is None else (1.0 + wanted - best.tick, *best.values)
-            inputs[stream.at + piece * size : stream.at + (piece + 1) * size] = arrived
+        newer, used = _put_newest(stream, come, wanted, inputs)
         self.counters["used"] += len(used)
         self.counters["superseded"] += len(come) - len(used)
         stream.newest = max([stream.newest, *used])
         return newer
+
+    def so_far(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
+        """Copy packets as ``collect`` does, but leave them in the inbox, as further ones may arrive in the step."""
+        found = list[Packet]()
+        for stream in self.streams.values():
+            if stream.part != part or stream.kept:
+                continue
+            wanted = tick - stream.lag
+            if stream.pieces:
+                come = [packet for packet in stream.waiting.values() if due_step(packet, stream) <= wanted]
+                found += _put_newest(stream, come, wanted, inputs)[0]
+                continue
+            packet = stream.waiting.get(wanted)
+            found += [] if packet is None else [packet]
+            packet = stream.behind if packet is None else packet
+            arrived = (0.0,) * (1 + stream.size) if packet is None else (1.0, *packet.values)
+            inputs[stream.at : stream.at + 1 + stream.size] = arrived
+        return found
 
     def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
         """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
@@ -374,11 +385,27 @@ class Inbox:
                 stream.behind = packet
             return
         if packet.kind == "acknowledgement":
-            self._degrade("late acknowledgement")
+            self._degrade(LATE_ANSWER)
         elif self._lossless:
             self._degrade("late")
             if packet.tick > (stream.newest if stream.behind is None else stream.behind.tick):
                 stream.behind = packet
+
+
+def _put_newest(
+    stream: Stream, come: Sequence[Packet], wanted: int, inputs: list[float]
+) -> tuple[list[Packet], set[int]]:
+    """Copy the newest packet of each piece to the inputs; return the packets that count, and the steps of used ones."""
+    # a packet of a step that this node has missed is heard now
+    newer = [stream.dated(one, wanted) for one in come if one.tick > stream.newest]
+    used, size = set[int](), 1 + stream.size
+    for piece in range(stream.pieces):
+        here = [one for one in newer if one.late % stream.pieces <= piece]
+        best = max(here, key=lambda one: one.tick, default=None)
+        used |= set[int]() if best is None else {best.tick}
+        arrived = (0.0,) * size if best is None else (1.0 + wanted - best.tick, *best.values)
+        inputs[stream.at + piece * size : stream.at + (piece + 1) * size] = arrived
+    return newer, used
 
 
 def due_step(packet: Packet, stream: Stream) -> int:

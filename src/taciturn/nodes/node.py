@@ -38,7 +38,15 @@ from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.nodes.packet import Packet
 from taciturn.program.draws import seed_generators
 from taciturn.program.manual import not_operable
-from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, translate_node
+from taciturn.program.node import (
+    Layout,
+    NodeProgram,
+    acts_at_once,
+    first_inputs,
+    lay_out,
+    only_applies,
+    translate_node,
+)
 from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
@@ -155,6 +163,7 @@ class Node:
         self._degraded_until = -1
         self._unheard = False  # whether the watchdog has expired while no step begins
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
+        self._told: set[tuple[str, int]] = set()  # link and step of packets that ``so_far`` has acknowledged
         self.options: dict[Option, float] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -283,7 +292,11 @@ class Node:
         """Links whose watchdog has expired, because neither a packet nor a mark (heartbeat) arrived within the time
         limit.
         """
-        late = {link for link, limit in self.limits.items() if self.tick - self._heard_at[link] >= limit}
+        return self._silent_in(self.tick)
+
+    def _silent_in(self, tick: int) -> tuple[str, ...]:
+        """Return the links that are silent in a step if no further packet arrives before it."""
+        late = {link for link, limit in self.limits.items() if tick - self._heard_at[link] >= limit}
         return tuple(link for link in self._heard_at if self._unheard or link in late)
 
     @property
@@ -348,6 +361,54 @@ class Node:
         sent += self._advance(tick, (*y, *map(float, known)), draws)
         return Stepped(tuple(sent), self._output())
 
+    @property
+    def acts_at_once(self) -> bool:
+        """True if the node applies packets to the plant that a link may delay at random, also within a step."""
+        return acts_at_once(self.program, self._layout)
+
+    def check_acting(self) -> None:
+        """Raise an error if the node cannot apply each packet when it arrives, as it does more in a step."""
+        if not only_applies(self.program, self._layout):
+            raise ProblemError(
+                f"the {self.role} of this {self.policy.kind} policy does more than to apply packets over a link with "
+                "random delays, so that it cannot apply each when it arrives; expected an actuator at a site of its "
+                "own, or virtual time"
+            )
+
+    def so_far(self, tick: int) -> Stepped:
+        """Return what a step does if no further packet arrives in it, so that a packet can act when it arrives.
+
+        The step itself is executed after its end, with all its packets, and does not return the acknowledgements again.
+
+        Args:
+            tick: number of the step, the first one that has not been executed.
+
+        Returns:
+            The acknowledgements of the packets that have arrived since the last call, and the input in all pieces of
+            the step, of which the last one is that of the newest packet.
+
+        Raises:
+            ProblemError: the node does not apply packets of a link with random delays, or it measures or draws too.
+        """
+        self.check_acting()
+        layout, inputs = self._layout, list(self._inputs)
+        for i, place in enumerate(self._places_in(tick)):
+            inputs[layout.clocks + i] = float(place)
+        come = self.inbox.so_far(0, tick, inputs)
+        told = [one for one in come if one.link in self.acknowledges and (one.link, one.tick) not in self._told]
+        self._told |= {(one.link, one.tick) for one in told}
+        memory = self._memory
+        if len(self._parts) > 1 and self.tick >= 0:  # the step before has read its packets, and is finished with them
+            memory, _ = self._parts[1](memory, [self._inputs[i] for i in layout.wiring[1]])
+        _, outputs = self._parts[0](memory, [inputs[i] for i in layout.wiring[0]])
+        given = outputs[cast("slice", layout.applied)]
+        silent = bool(self._heard_at) and len(self._silent_in(tick)) == len(self._heard_at)
+        if not fits(given) or (silent and not self._follows):
+            given = self._safe if silent and self._safe is not None else self._held
+        packets = tuple(map(self._acknowledgement, told))
+        self._sent_at |= {one.link: tick for one in told}
+        return Stepped(packets, given)
+
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
         """Create marks: packets that tell each receiver that this node is running and has finished the step.
 
@@ -407,7 +468,7 @@ class Node:
             self._inputs, self._places = list(saved["inputs"]), list(saved["places"])
             self._sequences, self._input = Counter(saved["sequences"]), tuple(saved["input"])
             self._heard_at, self._degraded_until = dict(saved["heard_at"]), saved["degraded_until"]
-            self._sent_at = dict(saved["sent_at"])
+            self._sent_at, self._told = dict(saved["sent_at"]), set()
             self._limited = None if saved["limited"] is None else tuple(saved["limited"])
             for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
                 counter.clear()
@@ -456,16 +517,21 @@ class Node:
             inputs[layout.drawn] = drawn if draws is None else draws
         outputs = self._execute(0)
         if outputs is None:
-            self._input = self._input[-(self._applied // self.pieces) :] * self.pieces if self._applied else ()
+            self._input = self._held
             return sent
         for link, at, size in layout.departures:
             if outputs[at]:
                 sent.append(self._packet("data", link, outputs[at + 1 : at + 1 + size]))
-        if layout.applied is not None and (self._follows or not self.silent):
-            self._input = outputs[layout.applied]
+        if layout.applied is not None:
+            self._input = outputs[layout.applied] if self._follows or not self.silent else self._held
         self.options = {name: outputs[i] for name, i in layout.options.items()}
         self._limited = None if layout.limited is None else outputs[layout.limited]
         return sent
+
+    @property
+    def _held(self) -> Values:
+        """The last input, in all pieces of a step."""
+        return self._input[-(self._applied // self.pieces) :] * self.pieces if self._applied else ()
 
     def _execute(self, part: int) -> Values | None:
         """Execute a part of a step; return None if a result is too large for a payload.
@@ -496,22 +562,31 @@ class Node:
         """Take the packets that a part of the step reads, and return their acknowledgements."""
         found = self.inbox.collect(part, tick, self._inputs)
         told = [packet for packet in found if packet.kind == "data" and packet.link in self.acknowledges]
-        after = {link: bool(self.program.pieces.get(link)) for link in self.acknowledges}
-        return [
-            self._packet("acknowledgement", one.link, (float(one.late),) if after[one.link] else (), one.tick)
-            for one in told
-        ]
+        known, self._told = self._told, set()
+        return [self._acknowledgement(one) for one in told if (one.link, one.tick) not in known]
+
+    def _acknowledgement(self, one: Packet) -> Packet:
+        """Return the acknowledgement of a packet, which states after what delay it has arrived if this is random."""
+        late = (float(one.late),) if self.program.pieces.get(one.link) else ()
+        return self._packet("acknowledgement", one.link, late, one.tick)
 
     def _turn_clocks(self, tick: int) -> None:
         """Set every periodic counter of the policy for this step."""
-        for i, (place, table) in enumerate(zip(self.program.clocks, self._tables, strict=True)):
-            here, turns = self._places[i], tick - max(self.tick, 0)
+        self._places = self._places_in(tick)
+        at = self._layout.clocks
+        self._inputs[at : at + len(self._places)] = map(float, self._places)
+
+    def _places_in(self, tick: int) -> list[int]:
+        """Return the value of each periodic counter of the policy in a later step."""
+        found = list[int]()
+        for here, place, table in zip(self._places, self.program.clocks, self._tables, strict=True):
+            turns = tick - max(self.tick, 0)
             if turns > len(table):  # the counter is periodic by then: skip whole periods
                 turns = len(table) + (turns - len(table)) % place.period
             for _ in range(turns):
                 here = table[here]
-            self._places[i] = here
-            self._inputs[self._layout.clocks + i] = float(here)
+            found.append(here)
+        return found
 
     def _packet(self, kind: Any, link: str, values: Values = (), tick: int | None = None, back: bool = False) -> Packet:
         name = f"{kind} {link}"

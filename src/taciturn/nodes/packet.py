@@ -132,6 +132,11 @@ class Frames:
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
+    def entries(self, kind: PacketKind, link: str) -> int:
+        """Return the number of entries in the packets of a kind on a link; 0 if there are none."""
+        shape = self._shapes.get((_KIND_CODES[kind], self._codes[link]))
+        return 0 if shape is None else shape.entries
+
     def with_keys(self, keys: Keys | None) -> Self:
         """Return an encoder of the same packets that authenticates them with other keys."""
         other = copy.copy(self)

@@ -135,10 +135,11 @@ class Nodes:
         model, sensed = self.policy.model, sensed_by(self.policy)
         self.cuts = self.network.cuts(self.policy.tick) or (0.0,)
         laws = {link: self.network.random_delay(link, self.policy.tick) for link in self.links}
-        self._waits = {
-            link: dict(zip(codes_of(law, self.cuts, is_clocked(self.network, link)), law.waits, strict=True))
+        self._codes = {
+            link: tuple(zip(codes_of(law, self.cuts, is_clocked(self.network, link)), law.waits, strict=True))
             for link, law in laws.items() if law is not None
         }  # fmt: skip
+        self._waits = {link: dict(codes) for link, codes in self._codes.items()}
         self._order = [index for _, outputs in sensed.values() for index in outputs]  # of the flags of the outputs
         self._copies = copies_of_inputs(self.policy)
         taken = {"y": model.sensed, REFERENCE: model.set_points, **dict.fromkeys(map(fate_of, self.links), 1)}
@@ -285,11 +286,11 @@ class Nodes:
             return 1.0 if flag(name, fate) else -1.0
         if fate is False:
             return -1.0
-        near = [code for code, wait in waits.items() if abs(wait - float(fate)) <= WHOLE]
+        near = [code for code, wait in self._codes[link] if abs(wait - float(fate)) <= WHOLE]
         if fate is True or not near:
             raise ProblemError(
                 f"{name} is {fate}, and the {link} link delays packets at random; expected False, or the delay in "
-                f"steps: {', '.join(f'{wait:g}' for wait in waits.values())}"
+                f"steps: {', '.join(f'{wait:g}' for _, wait in self._codes[link])}"
             )
         return 1.0 + near[0]
 

@@ -461,6 +461,18 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     )
 
 
+def acts_at_once(program: NodeProgram, layout: Layout) -> bool:
+    """Return whether a node applies packets to the plant that a link may delay at random, also within a step."""
+    return layout.applied is not None and any(link in program.pieces for link in program.hears)
+
+
+def only_applies(program: NodeProgram, layout: Layout) -> bool:
+    """Return whether such a node does nothing else in a step, so that it can apply a packet before the step ends."""
+    waits = any(one.part for one in layout.arrivals)  # for a packet of the step, after its outputs
+    more = layout.measured or layout.departures or program.draws is not None or waits
+    return acts_at_once(program, layout) and not more
+
+
 def first_inputs(policy: Policy, layout: Layout) -> list[float]:
     """Return the program inputs of a node before its first step: zeros, and the initial set-points."""
     found = [0.0] * len(layout.inputs)

@@ -9,6 +9,8 @@
  *     while ((size = tac_send(node, datagram)) > 0) send the datagram;
  *     if (tac_input(node) != NULL) apply the input;
  *
+ * An actuator on a link that delays packets at random can apply a packet within a step: see tac_act.
+ *
  * Two policies on one device share this core; compile it with the larger sizes of their two taciturn_config.h.
  */
 #ifndef TACITURN_H
@@ -21,6 +23,8 @@
 #define tac_watch TAC_SIZED(tac_watch)
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
+#define tac_receive_in TAC_SIZED(tac_receive_in)
+#define tac_act TAC_SIZED(tac_act)
 #define tac_set_keys TAC_SIZED(tac_set_keys)
 #define tac_setpoint TAC_SIZED(tac_setpoint)
 #define tac_setpoints TAC_SIZED(tac_setpoints)
@@ -55,9 +59,11 @@ extern "C" {
 
 /* Packets of one kind on one link that a node receives. Part `part` of a step reads the packet of the step `lag` steps
  * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. A link that is
- * `late` delays packets at random: a step reads the newest packet that has arrived since the last step, unless it has
- * read a newer one. Acknowledgements tell in which step a packet arrived. Then there is an input for each age of a
- * packet, from 0 on: 0 if this packet arrived in the step, and TAC_NEVER if not. */
+ * with `pieces` delays packets at random: a step reads the newest packet that has arrived since the last step, unless
+ * it has read a newer one. If a step has several pieces, these inputs are repeated for each piece, with the newest
+ * packet that has arrived before the piece ends. Acknowledgements tell after how many pieces a packet arrived. Then
+ * there is an input for each age of a packet, from 0 on: the piece of the step in which it arrived, and TAC_NEVER if in
+ * none. */
 typedef struct {
   uint8_t kind;
   uint8_t link;
@@ -67,7 +73,7 @@ typedef struct {
   bool acknowledged; /* whether the node acknowledges received packets */
   uint16_t at;
   uint32_t interval; /* largest number of steps between two packets of the sender; 0: not known */
-  bool late;
+  uint8_t pieces; /* of a step, if the link delays packets at random; otherwise 0 */
   uint8_t ages; /* of late acknowledgements: number of inputs; otherwise 0 */
 } tac_channel_data;
 
@@ -141,6 +147,8 @@ typedef struct {
   tac_window marks;
   tac_packet waiting[TAC_WAITING];
   bool waits[TAC_WAITING];
+  uint8_t piece[TAC_WAITING]; /* of the next step in which each of them has arrived */
+  bool tells_early[TAC_WAITING]; /* whether each of them is acknowledged before its step */
   tac_packet behind; /* the newest late packet */
   bool has_behind;
   uint64_t newest; /* step of the newest packet that a step has read, plus one; 0: none */
@@ -148,7 +156,7 @@ typedef struct {
   uint64_t marked; /* newest step that the sender has finished, plus one; 0: none */
   uint32_t missing;
   uint64_t told[TAC_WAITING]; /* steps of the packets to acknowledge, from the last place to the first */
-  uint8_t after[TAC_WAITING]; /* number of steps after which each was read */
+  uint16_t after[TAC_WAITING]; /* number of pieces of a step after which each was read */
   uint8_t tells;              /* number of packets to acknowledge */
   uint32_t told_sequence; /* sequence number of the next acknowledgement */
   uint64_t first;         /* with a key: first step whose packets are valid */
@@ -194,7 +202,8 @@ typedef struct {
   tac_real *inputs;
   tac_real *memory;
   tac_real *outputs;
-  tac_real *input;         /* last plant input */
+  tac_real *input;         /* last plant input, that of each piece of a step one after the other */
+  tac_real *spare;         /* room for a copy of the memory; NULL: the node acts only when a step begins */
   uint32_t *sequences;     /* sequence number of the next packet of each send */
   uint16_t *places;        /* values of the counters of the policy */
   uint64_t generator[4];
@@ -238,8 +247,9 @@ bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
 /* Set the watchdog of every link on which the node receives data: after `ticks` steps without data or a mark on it, or
  * after the largest interval that the policy states for a link without losses, if this is shorter, the link is silent
- * and the node is degraded. If all links are silent, the input is `safe_input`, or the last input if NULL. With 0
- * steps, as after tac_start, there is no watchdog. Set-points are not watched: their sender need not run. */
+ * and the node is degraded. If all links are silent, the input is `safe_input`, with as many numbers as that of
+ * `tac_input`, or the last input if NULL. With 0 steps, as after tac_start, there is no watchdog. Set-points are not
+ * watched: their sender need not run. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
 /* Return whether the watchdogs of all links have expired. The result stays true until a packet is accepted. */
@@ -260,6 +270,17 @@ void tac_mark_after(tac_node *node, uint32_t ticks);
 
 /* Process a received datagram. Return false if it is rejected, or its packet is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
+
+/* Process a datagram that has arrived in a piece of the step after the last one, from 0 on. The constants NODE_PIECES
+ * and NODE_CUTS in the header of a node are the number of pieces, and the parts of a period at which they begin. */
+bool tac_receive_in(tac_node *node, const uint8_t *datagram, size_t size, uint8_t piece);
+
+/* Let an actuator act with the packets that have arrived since its last step, before its next step: when packets arrive
+ * at random times, call it when the step begins and after each `tac_receive_in`; `tac_send` then returns
+ * acknowledgements, and the inputs of the pieces of this step are those of `tac_input`, of which the last is to be
+ * applied at once. Call `tac_step` for this step when it is over: it has all its packets, and the same inputs. Return
+ * false, without effect, if the node does more than to apply packets of links that delay them at random. */
+bool tac_act(tac_node *node);
 
 /* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`, in which NaN is
  * a missing entry; if it is NULL, all entries are missing. In place of a missing entry, the filter of the node uses its

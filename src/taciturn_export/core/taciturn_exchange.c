@@ -4,12 +4,15 @@
 
 enum { KIND_AT = 5, LINK_AT = 6 }; /* positions of kind and link in a datagram */
 
-/* Return the index of the node that receives packets of a kind on a link, or `count` if there is none. */
-static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigned link) {
+/* Return the index of the node that receives packets of a kind on a link, or `count` if there is none. `pieces` is set
+ * to the number of pieces of a step in which it hears them. */
+static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigned link, unsigned *pieces) {
+  *pieces = 1U;
   for (size_t i = 0U; i < exchange->count; i++) {
     const tac_node_data *data = exchange->nodes[i]->data;
     for (unsigned c = 0U; c < data->channel_count; c++) {
       if (data->channels[c].kind == kind && data->channels[c].link == link) {
+        *pieces = (data->channels[c].pieces > 0U) ? data->channels[c].pieces : 1U;
         return i;
       }
     }
@@ -23,8 +26,10 @@ static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, co
   while ((next.size = tac_send(node, next.bytes)) > 0U) {
     unsigned kind = next.bytes[KIND_AT];
     unsigned link = next.bytes[LINK_AT];
-    size_t to = find_listener(exchange, kind, link);
+    unsigned pieces;
+    size_t to = find_listener(exchange, kind, link, &pieces);
     bool data = kind == (unsigned)TAC_DATA && link < (unsigned)TAC_LINKS;
+    unsigned after = (data && late != NULL) ? late[link] : 0U;
     if (data) {
       sent[link] = true;
     }
@@ -34,7 +39,8 @@ static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, co
     if (exchange->waiting[to] == (size_t)TAC_BOX) {
       return false;
     }
-    next.due = node->tick + ((data && late != NULL) ? late[link] : 0U);
+    next.due = node->tick + (after / pieces);
+    next.piece = (uint8_t)(after % pieces);
     exchange->boxes[to][exchange->waiting[to]] = next;
     exchange->waiting[to]++;
   }
@@ -50,7 +56,7 @@ static void receive_due(tac_exchange *exchange, size_t i, uint64_t tick) {
       exchange->boxes[i][kept] = *next;
       kept++;
     } else {
-      (void)tac_receive(exchange->nodes[i], next->bytes, next->size);
+      (void)tac_receive_in(exchange->nodes[i], next->bytes, next->size, next->piece);
     }
   }
   exchange->waiting[i] = kept;

@@ -12,6 +12,7 @@ typedef struct {
   uint8_t bytes[TAC_DATAGRAM];
   size_t size;
   uint64_t due; /* step in which it arrives */
+  uint8_t piece; /* and piece of this step */
 } tac_datagram;
 
 /* The nodes and their waiting datagrams. Initialize all bytes with 0, and set started nodes in the order of a step. */
@@ -25,8 +26,8 @@ typedef struct {
 /* Execute a step of nodes, which have no keys, as nobody else can reach the nodes of one process: each node in turn
  * receives its datagrams, steps, and sends. `measurement` holds those of all nodes, in the order of the nodes, each
  * with the set-points that the node is given. `drawn` replaces the random draws of the nodes, unless it is NULL. For
- * each link, `lost` is whether a packet sent in this step is dropped, and `late` after how many steps it arrives on a
- * link that delays packets at random; NULL: none is delayed. `sent` is set to whether a packet was sent.
+ * each link, `lost` is whether a packet sent in this step is dropped, and `late` after how many pieces of a step it
+ * arrives on a link that delays packets at random; NULL: none is delayed. `sent` is set to whether a packet was sent.
  * Return the index of the node that did not execute the step, or `count` if all did. */
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
                          const bool *lost, const uint16_t *late, bool *sent);

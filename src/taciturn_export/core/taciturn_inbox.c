@@ -82,7 +82,7 @@ static bool is_newer(const tac_packet *packet, const tac_packet *known) {
 
 /* Store a packet until its step. Another packet at the same place of the buffer belongs to a missed step, or arrived
  * before the first step and is too far ahead. */
-static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
+static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet, uint8_t piece) {
   tac_channel *channel = &node->channels[i];
   unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
   const tac_packet *known = &channel->waiting[place];
@@ -91,7 +91,7 @@ static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) 
     if (known->tick == packet->tick) {
       node->counters.superseded++;
       kept = is_newer(packet, known);
-    } else if (node->data->channels[i].late) {
+    } else if (node->data->channels[i].pieces > 0U) {
       node->counters.superseded++;
       kept = packet->tick > known->tick;
     } else if (!node->begun) {
@@ -106,6 +106,8 @@ static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) 
   if (kept) {
     channel->waiting[place] = *packet;
     channel->waits[place] = true;
+    channel->piece[place] = piece;
+    channel->tells_early[place] = false;
   }
 }
 
@@ -138,22 +140,26 @@ static bool sort_by_number(tac_node *node, unsigned i, const tac_packet *packet,
     return false;
   }
   next.tick = tac_count_ticks(node);
-  wait_for_tick(node, i, &next);
+  wait_for_tick(node, i, &next, 0U);
   return true;
 }
 
-/* Return the step that hears a packet unless it is late. An acknowledgement on a late link states after how many steps
- * its packet has arrived. */
-static uint64_t due_step(const tac_channel_data *data, const tac_packet *packet) {
+/* Return the number of pieces of a step after which a packet has arrived, as its acknowledgement states it. */
+static uint64_t told_after(const tac_channel_data *data, const tac_packet *packet) {
   uint64_t after = 0U;
   if ((data->ages > 0U) && (packet->values[0] > (tac_real)0)) {
     after = (packet->values[0] < (tac_real)TAC_NEVER) ? (uint64_t)packet->values[0] : (uint64_t)TAC_NEVER;
   }
-  return packet->tick + after;
+  return after;
+}
+
+/* Return the step that hears a packet unless it is late; of an acknowledgement, the one in which its packet arrived. */
+static uint64_t due_step(const tac_channel_data *data, const tac_packet *packet) {
+  return packet->tick + ((data->ages > 0U) ? (told_after(data, packet) / data->pieces) : 0U);
 }
 
 /* Store a new packet. */
-static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
+static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet, uint8_t piece) {
   bool mark = packet->kind == (uint8_t)TAC_MARK;
   uint8_t lag = mark ? 0U : node->data->channels[i].lag;
   if (is_ahead(node, packet->tick, (unsigned)TAC_WAITING - lag)) {
@@ -166,10 +172,10 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
       node->channels[i].marked = packet->tick + 1U;
     }
   } else if (is_late(node, due_step(&node->data->channels[i], packet), lag) &&
-             (!node->data->channels[i].late || (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT))) {
+             ((node->data->channels[i].pieces == 0U) || (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT))) {
     miss(node, &node->channels[i], packet);
   } else {
-    wait_for_tick(node, i, packet);
+    wait_for_tick(node, i, packet, (piece < node->data->channels[i].pieces) ? piece : 0U);
   }
   return true;
 }
@@ -197,7 +203,7 @@ void tac_forget_numbered(tac_node *node, unsigned i) {
 }
 
 /* Store and count a packet, and return whether it is new and not far too early. */
-static bool take(tac_node *node, const tac_packet *packet) {
+static bool take(tac_node *node, const tac_packet *packet, uint8_t piece) {
   unsigned i = find_channel(node->data, packet);
   bool known = packet->loop == node->loop && i < node->data->channel_count;
   unsigned number = known ? numbered_by(node->data, i) : i;
@@ -237,7 +243,7 @@ static bool take(tac_node *node, const tac_packet *packet) {
     if (node->data->channels[i].kind == (uint8_t)TAC_DATA && packet->tick < UINT64_MAX) {
       node->dated = packet->tick + 1U;
     }
-    kept = sort_in(node, i, packet);
+    kept = sort_in(node, i, packet, piece);
   }
   if (kept) {
     channel->heard = tac_count_ticks(node) + 1U;
@@ -300,6 +306,10 @@ static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t 
 }
 
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
+  return tac_receive_in(node, datagram, size, 0U);
+}
+
+bool tac_receive_in(tac_node *node, const uint8_t *datagram, size_t size, uint8_t piece) {
   tac_packet packet;
   tac_verdict verdict = decode(node, datagram, size, &packet);
   if (verdict != TAC_OK) {
@@ -310,18 +320,19 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
     tac_take_proof(node, &packet);
     return false;
   }
-  if (!take(node, &packet)) {
-    return false;
-  }
-  return true;
+  return take(node, &packet, piece);
 }
 
-/* Copy a packet to the inputs of a step; NULL if no packet arrived. */
-static void put_inputs(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs) {
-  inputs[data->at] = (tac_real)((packet == NULL) ? 0 : 1);
+/* Copy a packet to the inputs of a step, from `at` on; NULL if no packet arrived. */
+static void put_at(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs, unsigned at) {
+  inputs[at] = (tac_real)((packet == NULL) ? 0 : 1);
   for (unsigned i = 0U; i < data->entries; i++) {
-    inputs[data->at + 1U + i] = (packet == NULL) ? (tac_real)0 : packet->values[i];
+    inputs[at + 1U + i] = (packet == NULL) ? (tac_real)0 : packet->values[i];
   }
+}
+
+static void put_inputs(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs) {
+  put_at(data, packet, inputs, data->at);
 }
 
 /* Return whether other set-points than those of a channel have no effect, because an operator has given some. */
@@ -355,7 +366,7 @@ static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
   }
 }
 
-/* Read for each age whether the packet of this age arrived in a step. */
+/* Read for each age in which piece of a step the packet of this age arrived. */
 static void collect_told(tac_node *node, unsigned i, uint64_t step) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
@@ -373,13 +384,13 @@ static void collect_told(tac_node *node, unsigned i, uint64_t step) {
       miss(node, channel, known);
     } else {
       node->counters.used++;
-      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)0;
+      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)(told_after(data, known) % data->pieces);
     }
   }
 }
 
-/* Acknowledge the packet of a step, which was read in another step; the oldest one is forgotten if there are many. */
-static void tell(tac_channel *channel, uint64_t sent, uint64_t step) {
+/* Acknowledge the packet of a step, read after so many pieces of a step; the oldest is forgotten if there are many. */
+static void tell(tac_channel *channel, uint64_t sent, uint64_t after) {
   unsigned place = channel->tells;
   if (place == (unsigned)TAC_WAITING) {
     place = 0U;
@@ -390,46 +401,102 @@ static void tell(tac_channel *channel, uint64_t sent, uint64_t step) {
     channel->tells++;
   }
   channel->told[place] = sent;
-  channel->after[place] = ((step - sent) < (uint64_t)UINT8_MAX) ? (uint8_t)(step - sent) : UINT8_MAX;
+  channel->after[place] = (after < (uint64_t)UINT16_MAX) ? (uint16_t)after : UINT16_MAX;
 }
 
-/* Read the newest packet that has arrived, unless a step has read a newer one, and acknowledge all newer ones. */
-static void collect_late(tac_node *node, unsigned i, uint64_t step) {
+/* Return whether a packet of a late link is heard in a step: it has arrived, and no step has read a newer one. */
+static bool is_heard(const tac_channel *channel, unsigned place, uint64_t step) {
+  const tac_packet *known = &channel->waiting[place];
+  return channel->waits[place] && (known->tick <= step) && (known->tick >= channel->newest);
+}
+
+/* Acknowledge the packet at a place, which is read in a step, unless this was done; `ticks` is the step, plus one. */
+static void tell_once(tac_node *node, unsigned i, unsigned place, uint64_t step, uint64_t ticks) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
-  const tac_packet *packet = NULL;
+  uint64_t sent = channel->waiting[place].tick;
+  if (data->acknowledged && !channel->tells_early[place]) {
+    tell(channel, sent, ((step - sent) * data->pieces) + channel->piece[place]);
+    channel->tells_early[place] = true;
+    node->marks[data->link].sent = ticks;
+  }
+}
+
+/* Copy the newest packet of each piece of a step to the inputs, and acknowledge all. Set `used` to whether the packet
+ * at each place is used. */
+static void put_newest(tac_node *node, unsigned i, uint64_t step, uint64_t ticks, bool *used) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    used[place] = false;
+  }
+  for (unsigned piece = 0U; piece < data->pieces; piece++) {
+    const tac_packet *packet = NULL;
+    unsigned best = (unsigned)TAC_WAITING;
+    for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+      if (is_heard(channel, place, step) && (channel->piece[place] <= piece) &&
+          ((best == (unsigned)TAC_WAITING) || (channel->waiting[place].tick > channel->waiting[best].tick))) {
+        best = place;
+      }
+    }
+    if (best < (unsigned)TAC_WAITING) {
+      used[best] = true;
+      packet = &channel->waiting[best];
+    }
+    put_at(data, packet, node->inputs, data->at + (piece * (1U + data->entries)));
+    if (packet != NULL) { /* a receiver may use the packet by its age */
+      node->inputs[data->at + (piece * (1U + data->entries))] += (tac_real)(step - packet->tick);
+    }
+  }
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    if (is_heard(channel, place, step)) {
+      tell_once(node, i, place, step, ticks);
+    }
+  }
+}
+
+/* Read the newest packets that have arrived, unless a step has read newer ones. */
+static void collect_late(tac_node *node, unsigned i, uint64_t step) {
+  tac_channel *channel = &node->channels[i];
+  bool used[TAC_WAITING];
+  put_newest(node, i, step, tac_count_ticks(node), used);
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     const tac_packet *known = &channel->waiting[place];
     if (!channel->waits[place] || (known->tick > step)) {
       continue;
     }
     channel->waits[place] = false;
-    node->counters.superseded++;
-    if (known->tick < channel->newest) {
-      continue;
+    if (!used[place]) {
+      node->counters.superseded++;
+    } else {
+      node->counters.used++;
+      channel->newest = (known->tick >= channel->newest) ? (known->tick + 1U) : channel->newest;
     }
-    if (data->acknowledged) {
-      tell(channel, known->tick, step);
-      node->marks[data->link].sent = tac_count_ticks(node);
-    }
-    packet = ((packet == NULL) || (known->tick > packet->tick)) ? known : packet;
-  }
-  if (packet != NULL) {
-    node->counters.superseded--;
-    node->counters.used++;
-    channel->newest = packet->tick + 1U;
   }
   channel->missing = count_missing(&channel->window);
-  put_inputs(data, packet, node->inputs);
-  if (packet != NULL) { /* a receiver may use the packet by its age */
-    node->inputs[data->at] += (tac_real)(step - packet->tick);
+}
+
+void tac_foresee(tac_node *node, unsigned i, uint64_t tick) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  unsigned place = (unsigned)((tick - data->lag) % (uint64_t)TAC_WAITING);
+  const tac_packet *packet = channel->has_behind ? &channel->behind : NULL;
+  if (data->pieces > 0U) {
+    bool used[TAC_WAITING];
+    put_newest(node, i, tick - data->lag, tick + 1U, used);
+    return;
   }
+  if ((tick >= data->lag) && channel->waits[place] && (channel->waiting[place].tick == (tick - data->lag))) {
+    packet = &channel->waiting[place];
+    tell_once(node, i, place, packet->tick, tick + 1U);
+  }
+  put_inputs(data, packet, node->inputs);
 }
 
 /* Read packets of several steps: set-points, and those of late links. */
 static void collect_several(tac_node *node, unsigned i, uint64_t tick) {
   const tac_channel_data *data = &node->data->channels[i];
-  if (!data->late) {
+  if (data->pieces == 0U) {
     collect_kept(node, i, tick);
   } else if (data->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
     collect_told(node, i, tick - data->lag);
@@ -442,9 +509,10 @@ void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
+  bool told = false;
   uint32_t missing = count_missing(&channel->window);
   if (data->kind == (uint8_t)TAC_MEASUREMENT || data->kind == (uint8_t)TAC_SETPOINT ||
-      data->kind == (uint8_t)TAC_MANUAL || data->late) {
+      data->kind == (uint8_t)TAC_MANUAL || data->pieces > 0U) {
     collect_several(node, i, tick);
     return;
   }
@@ -456,15 +524,16 @@ void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
     channel->waits[place] = false;
     if (known->tick == tick - data->lag) {
       packet = known;
+      told = channel->tells_early[place];
     } else {
       miss(node, channel, known);
     }
   }
   if (packet != NULL) {
     node->counters.used++;
-    if (data->acknowledged && data->kind == (uint8_t)TAC_DATA) {
+    if (data->acknowledged && data->kind == (uint8_t)TAC_DATA && !told) {
       channel->tells = 0U;
-      tell(channel, packet->tick, packet->tick);
+      tell(channel, packet->tick, 0U);
       node->marks[data->link].sent = tac_count_ticks(node);
     }
   } else if (channel->has_behind) {

@@ -84,17 +84,24 @@ static void collect_all(tac_node *node, uint8_t part, uint64_t tick) {
   }
 }
 
+/* Return the value of a counter of the policy in a later step. */
+static uint16_t place_in(const tac_node *node, unsigned i, uint64_t tick) {
+  const tac_clock_data *clock = &node->data->clocks[i];
+  uint64_t turns = tick - (node->begun ? node->tick : 0U);
+  uint16_t place = node->places[i];
+  if (turns > clock->size) { /* the counter is periodic by then: skip whole periods */
+    turns = clock->size + ((turns - clock->size) % clock->period);
+  }
+  for (; turns > 0U; turns--) {
+    place = clock->following[place];
+  }
+  return place;
+}
+
 /* Set every counter of the policy for a step. */
 static void turn_clocks(tac_node *node, uint64_t tick) {
   for (unsigned i = 0U; i < node->data->clock_count; i++) {
-    const tac_clock_data *clock = &node->data->clocks[i];
-    uint64_t turns = tick - (node->begun ? node->tick : 0U);
-    if (turns > clock->size) { /* the counter is periodic by then: skip whole periods */
-      turns = clock->size + ((turns - clock->size) % clock->period);
-    }
-    for (; turns > 0U; turns--) {
-      node->places[i] = clock->following[node->places[i]];
-    }
+    node->places[i] = place_in(node, i, tick);
     node->inputs[node->data->clocks_at + i] = (tac_real)node->places[i];
   }
 }
@@ -142,6 +149,20 @@ static bool execute(tac_node *node, bool is_second) {
   return false;
 }
 
+/* Let the last input act in all pieces of a step. */
+static void hold(tac_node *node) {
+  unsigned pieces = 1U;
+  unsigned each;
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    unsigned here = (node->data->channels[i].kind == (uint8_t)TAC_DATA) ? node->data->channels[i].pieces : 0U;
+    pieces = (here > pieces) ? here : pieces;
+  }
+  each = node->data->applied_count / pieces;
+  for (unsigned i = 0U; (i + each) < node->data->applied_count; i++) {
+    node->input[i] = node->input[(node->data->applied_count - each) + (i % each)];
+  }
+}
+
 /* Store the packets to send and the plant input of a step. */
 static void put_outputs(tac_node *node) {
   const tac_node_data *data = node->data;
@@ -157,8 +178,10 @@ static void put_outputs(tac_node *node) {
       node->pending |= UINT32_C(1) << i;
     }
   }
-  if (data->applied >= 0 && !tac_silent(node)) { /* otherwise the input of the last step is held */
+  if (data->applied >= 0 && !tac_silent(node)) { /* otherwise the last input is held */
     copy(node->input, &node->outputs[data->applied], data->applied_count);
+  } else {
+    hold(node);
   }
 }
 
@@ -207,7 +230,34 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   }
   if (execute(node, false)) {
     put_outputs(node);
+  } else if (data->applied >= 0) {
+    hold(node);
+  } else {
+    /* the node applies no input */
   }
+}
+
+bool tac_act(tac_node *node) {
+  const tac_node_data *data = node->data;
+  uint64_t tick = tac_count_ticks(node);
+  if (node->spare == NULL) {
+    return false;
+  }
+  copy(node->spare, node->memory, data->memory_count);
+  for (unsigned i = 0U; i < data->clock_count; i++) {
+    node->inputs[data->clocks_at + i] = (tac_real)place_in(node, i, tick);
+  }
+  for (unsigned i = 0U; i < data->channel_count; i++) {
+    tac_foresee(node, i, tick);
+  }
+  data->first(data->constants, node->inputs, node->memory, node->outputs);
+  if (are_finite(node->memory, data->memory_count) && can_leave(node) && !tac_silent(node)) {
+    copy(node->input, &node->outputs[data->applied], data->applied_count);
+  } else {
+    hold(node);
+  }
+  copy(node->memory, node->spare, data->memory_count);
+  return true;
 }
 
 /* Let every channel that was heard from a step on, or every one if `from` is 0, be heard in step `tick`, plus one. */

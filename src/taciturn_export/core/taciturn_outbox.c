@@ -38,7 +38,7 @@ static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, u
 void tac_tell(const tac_node *node, unsigned i, unsigned place, tac_packet *packet) {
   packet->kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
   packet->tick = node->channels[i].told[place];
-  packet->entries = node->data->channels[i].late ? 1U : 0U;
+  packet->entries = (node->data->channels[i].pieces > 0U) ? 1U : 0U;
   packet->values[0] = (tac_real)node->channels[i].after[place];
 }
 

@@ -14,6 +14,7 @@
 #define tac_fits TAC_SIZED(tac_fits)
 #define tac_is_nan TAC_SIZED(tac_is_nan)
 #define tac_collect TAC_SIZED(tac_collect)
+#define tac_foresee TAC_SIZED(tac_foresee)
 #define tac_write_tag TAC_SIZED(tac_write_tag)
 #define tac_forget_numbered TAC_SIZED(tac_forget_numbered)
 #define tac_report TAC_SIZED(tac_report)
@@ -72,7 +73,7 @@ size_t tac_send_proof(tac_node *node, uint8_t *datagram);
 /* Return whether a node sends packets on a link: data along it, or (with `back`) acknowledgements against it. */
 bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
 
-/* Write the acknowledgement at a place of channel `i`: of which step, and after how many steps if the link is late. */
+/* Write the acknowledgement at a place of channel `i`: of which step, and on a late link after how many pieces. */
 void tac_tell(const tac_node *node, unsigned i, unsigned place, tac_packet *packet);
 
 /* Return the number of the channel on which a node is given set-points, or the number of channels if there is none. */
@@ -101,6 +102,9 @@ void tac_degrade(tac_node *node, uint64_t ticks);
 
 /* Copy the packet of channel `i` that a step reads to the inputs, and acknowledge the packet if it arrived in time. */
 void tac_collect(tac_node *node, unsigned i, uint64_t tick);
+
+/* Do the same before the step, with the packets that have arrived so far, which wait further. */
+void tac_foresee(tac_node *node, unsigned i, uint64_t tick);
 
 #ifdef __cplusplus
 }

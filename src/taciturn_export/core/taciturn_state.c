@@ -41,7 +41,7 @@ static void add_packets(uint32_t *sum, const tac_node_data *data) {
     add(sum, channel->acknowledged ? 1U : 0U, 1U);
     add(sum, channel->at, 2U);
     add(sum, channel->interval, 4U);
-    add(sum, channel->late ? 1U : 0U, 1U);
+    add(sum, channel->pieces, 1U);
     add(sum, channel->ages, 1U);
   }
   for (unsigned i = 0U; i < data->send_count; i++) {
@@ -177,6 +177,8 @@ static void pass_channel(cursor *c, const tac_node *node, unsigned i) {
   pass_window(c, &channel->marks);
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     pass_truth(c, &channel->waits[place]);
+    pass_truth(c, &channel->tells_early[place]);
+    channel->piece[place] = (uint8_t)pass(c, channel->piece[place], 1U, UINT8_MAX);
     pass_packet(c, node, &channel->waiting[place], data->kind, data->link, data->entries);
   }
   pass_truth(c, &channel->has_behind);
@@ -187,7 +189,7 @@ static void pass_channel(cursor *c, const tac_node *node, unsigned i) {
   pass_word(c, &channel->missing);
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     pass_long(c, &channel->told[place]);
-    channel->after[place] = (uint8_t)pass(c, channel->after[place], 1U, UINT8_MAX);
+    pass_half(c, &channel->after[place], UINT16_MAX);
   }
   channel->tells = (uint8_t)pass(c, channel->tells, 1U, (uint64_t)TAC_WAITING);
   pass_word(c, &channel->told_sequence);
