@@ -216,7 +216,7 @@ def late_acknowledgements(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str
     """Return a sentence for each node that has received acknowledgements after the steps whose decisions need them."""
     counted = {role: report.get("degraded", {}).get(LATE_ANSWER, 0) for role, report in reports.items()}
     return tuple(
-        f"{number_of(number, 'acknowledgement')} came to the {role} after the step that needs it"
+        f"{number_of(number, 'acknowledgement')} came to the {role} after its next step had begun"
         for role, number in counted.items()
         if number
     )

@@ -131,7 +131,7 @@ def test_acknowledgements_that_come_too_late_withdraw_the_claim() -> None:
     controller.sort_in(Packet("acknowledgement", "actuator", 0, 0, (0.0,)))
     assert controller.reasons == {"late acknowledgement": 1}
     reports = {"controller": {"degraded": dict(controller.reasons)}, "plant": {}}
-    assert late_acknowledgements(reports) == ("1 acknowledgement came to the controller after the step that needs it",)
+    assert late_acknowledgements(reports) == ("1 acknowledgement came to the controller after its next step had begun",)
 
 
 def test_a_node_that_does_more_than_apply_packets_is_refused() -> None:
