@@ -25,7 +25,7 @@ from taciturn import __version__
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, write_whole
 from taciturn.loop import Loop
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import LATE, LOOPS, Coverage
 from taciturn.model.names import Names, Role, unit_of
 from taciturn.model.packets import fingerprint, place_of, roles, wire_links
 from taciturn.model.result import VERDICT, Field, Result
@@ -72,6 +72,7 @@ def references(loop: Loop) -> dict[str, int]:
         "u": y + 1024 * (1 + loop.policy.model.outputs // 1024),
         "silence": y + 1024 * (2 + loop.policy.model.outputs // 1024 + loop.policy.model.inputs // 1024),
         "missing": y + 1024 * (3 + loop.policy.model.outputs // 1024 + loop.policy.model.inputs // 1024),
+        "late": y + 1024 * (4 + 2 * (loop.policy.model.outputs // 1024) + loop.policy.model.inputs // 1024),
     }  # fmt: skip
 
 
@@ -128,6 +129,13 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
             )
             for link in links
         ]  # fmt: skip
+    found += [
+        UnitVariable(
+            f"late_{identifier(link)}", first["late"] + codes.index(link), "number", "input",
+            f"Steps after which a packet arrives that is sent on the {link} link in the next step",
+        )
+        for link in links if link in loop.network.late
+    ]  # fmt: skip
     found += [
         _named(UnitVariable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}"), label)
         for i, label in enumerate(inputs)
@@ -267,7 +275,7 @@ def _text(root: Xml.Element) -> bytes:
     return Xml.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
-UNIT_COVERAGE = Coverage(LOOPS, "a functional mock-up unit does not carry out")
+UNIT_COVERAGE = Coverage(LOOPS | LATE, "a functional mock-up unit does not carry out")
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
     "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
@@ -400,6 +408,12 @@ def print_fmu(
     if not (name.isidentifier() and name.isascii()):
         raise ProblemError(f"the name of the FMU is {name!r}; expected a C identifier such as two_mass")
     UNIT_COVERAGE.check(loop.parts, loop.policy.designed_for)
+    if loop.network.cuts(loop.policy.tick):
+        keys = ", ".join(loop.network.key(link, "delay") for link in loop.network.late)
+        raise ProblemError(
+            f"{keys}: packets may arrive within a period, so that the input of the plant changes within a step of a "
+            "functional mock-up unit, which has one input per step; expected delays of whole periods, or a buffer"
+        )
     folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}
@@ -486,6 +500,8 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     used, links = used_links(loop), wire_links(loop.policy)[: core_links(loop.policy)]
     outputs, inputs = entries_of_nodes(loop.policy, loop.network)
     lines = [f'{GENERATED_BY}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
+    late = ", ".join(_truth(link in used and link in loop.network.late) for link in links)
+    lines += [f"const bool fmu_delays[] = {{{late}}};"]
     lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in links)}}};"]
     lines += [
         f"const unsigned fmu_{name}[] = {{{', '.join(f'{i}U' for i in places)}}};"
@@ -555,6 +571,7 @@ typedef struct {{
 }} fmu_memory;
 
 extern const bool fmu_links[]; /* whether packets are sent over each link */
+extern const bool fmu_delays[]; /* whether each link delays packets at random */
 extern const bool fmu_lossy;   /* whether packets may be dropped */
 extern const double fmu_starts[]; /* measurements and set-points until they are set */
 extern const unsigned fmu_outputs[]; /* output of the plant of each measurement, in the order of the nodes */

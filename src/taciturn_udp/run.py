@@ -168,7 +168,7 @@ def run_network(
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
     rates = {link: rate_of_ticks(loop, sends[link]).scaled(pace) for link in policy.scheduled if link in sends}
-    differences = loop.violated_assumptions + _other_links(chosen, stated) + told_too_late(reports)
+    differences = loop.violated_assumptions + _other_links(chosen, stated) + late_acknowledgements(reports)
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),
@@ -212,11 +212,11 @@ def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
 
 
-def told_too_late(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return the nodes that were told too late when their packets have arrived: they decided without knowing it."""
+def late_acknowledgements(reports: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return a sentence for each node that has received acknowledgements after the steps whose decisions need them."""
     counted = {role: report.get("degraded", {}).get(LATE_ANSWER, 0) for role, report in reports.items()}
     return tuple(
-        f"{number_of(number, 'acknowledgement')} came to the {role} after the step that needs it"
+        f"{number_of(number, 'acknowledgement')} came to the {role} after its next step had begun"
         for role, number in counted.items()
         if number
     )

@@ -24,6 +24,7 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from parity.loops import with_functions
+from runtime.late import WITHIN, pendulum
 from runtime.test_nodes import PARTICULAR, long
 from runtime.test_nodes import build as build_loop
 from systems import make_system
@@ -46,6 +47,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "several sensors": lambda: build_loop("tank, crossed"),
     "set-points": lambda: tank(),
     "own draws": lambda: build_loop("stochastic"),
+    "delays": lambda: pendulum({"delta": 0.05}).close(pendulum({"delta": 0.05}).design()),
     "single precision": lambda: replace(LOOPS["two-mass-lqg"](), precision="float32"),
 }
 Make = Callable[[str, Version], tuple[Loop, Fmu, Path]]
@@ -340,6 +342,28 @@ def test_losses_are_inputs_only_where_packets_may_be_lost(make: Make) -> None:
     ]
     ideal.close()
     lossy.close()
+
+
+def test_delays_are_inputs_only_where_packets_are_delayed_at_random(make: Make, tmp_path: Path) -> None:
+    """In whole steps that the unit can wait; within a period, the input would change between two steps of a unit."""
+    loop, _, folder = make("delays", "3.0")
+    vector = record(loop, 200)
+    assert {2.0, 3.0} <= set(vector.arrived[:, 0])
+    assert differing_ticks(Instance(folder).start(), loop, vector, range(200)) == []
+    assert [one.name for one in list_variables(LOOPS["delays"]()) if one.name.startswith("late")] == ["late_actuator"]
+    assert not any(one.name.startswith("late") for one in list_variables(LOOPS[LOSSY]()))
+    instance = Instance(folder).start()
+    for wrong in (-1.0, 0.5, 1e9, float("nan")):
+        instance.set({"late_actuator": wrong})
+        with pytest.raises(FMICallException):
+            instance.step(0.0, 0.02)
+        assert "expected a whole number of steps below 4" in instance.messages[-1]
+    instance.set({"late_actuator": 2.0})
+    assert instance.get("late_actuator") == [2.0]
+    instance.step(0.0, 0.02)
+    instance.close()
+    with pytest.raises(ProblemError, match=r"actuator\.delay: packets may arrive within a period"):
+        taciturn.export_fmu(pendulum(delay=WITHIN), tmp_path / "unit.fmu")
 
 
 def test_a_lost_packet_does_not_arrive(make: Make) -> None:

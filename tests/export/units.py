@@ -113,6 +113,8 @@ def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     values |= {f"missing[{i + 1}]": bool(np.isnan(told[i])) for i in range(p)}
     if may_lose(loop):
         values |= {f"lost_{identifier(link)}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
+    late = [(i, link) for i, link in enumerate(vector.links) if link in loop.network.late]
+    values |= {f"late_{identifier(link)}": max(float(vector.arrived[tick, i]) - 1.0, 0.0) for i, link in late}
     return values
 
 

@@ -24,7 +24,7 @@ from taciturn.nodes.packet import Packet
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.late import Counted
 from taciturn_udp.relay import losses
-from taciturn_udp.run import told_too_late
+from taciturn_udp.run import late_acknowledgements
 from taciturn_worlds.world import World, run_world_with_devices
 
 STEPS, PERIOD = 200, 0.02
@@ -131,7 +131,7 @@ def test_acknowledgements_that_come_too_late_withdraw_the_claim() -> None:
     controller.sort_in(Packet("acknowledgement", "actuator", 0, 0, (0.0,)))
     assert controller.reasons == {"late acknowledgement": 1}
     reports = {"controller": {"degraded": dict(controller.reasons)}, "plant": {}}
-    assert told_too_late(reports) == ("1 acknowledgement came to the controller after the step that needs it",)
+    assert late_acknowledgements(reports) == ("1 acknowledgement came to the controller after its next step had begun",)
 
 
 def test_a_node_that_does_more_than_apply_packets_is_refused() -> None:

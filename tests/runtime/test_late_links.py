@@ -134,15 +134,13 @@ def test_laws_of_links_are_checked(text: str) -> None:
 
 
 def test_what_does_not_carry_out_random_delays_refuses_them(tmp_path: Path) -> None:
-    """By name: network namespaces, descriptions, units, and C with delays beyond its buffer."""
+    """By name: network namespaces, descriptions, and C with delays beyond its buffer."""
     problem = pendulum()
     policy = problem.design()
     with pytest.raises(ProblemError, match=r"a delay that varies on a link .* which only relays emulate"):
         run_network(problem, steps=2, namespaces=True)
     with pytest.raises(ProblemError, match="a delay that varies on a link"):
         describe_wire(policy, problem.network)
-    with pytest.raises(ProblemError, match="a functional mock-up unit does not carry out"):
-        taciturn.export_fmu(problem, tmp_path / "unit.fmu")
     late = pendulum({"kind": "periodic", "delta": None, "every": 1}, delay=[0.5] + [0.0] * 70 + [0.5])
     with pytest.raises(ProblemError, match="delays are up to 71 steps, which exported C code does not carry out"):
         taciturn.export_c(late, tmp_path / "c")

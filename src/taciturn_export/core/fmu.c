@@ -71,6 +71,11 @@ static bool is_of_link(uint32_t reference, uint32_t first) {
   return reference >= first && reference - first < (uint32_t)TAC_LINKS && fmu_links[reference - first];
 }
 
+/* Return whether a reference is that of the delay of a link that delays packets at random. */
+static bool is_delay(uint32_t reference) {
+  return reference >= FMU_LATE && reference - FMU_LATE < (uint32_t)TAC_LINKS && fmu_delays[reference - FMU_LATE];
+}
+
 /* Return whether a reference is that of the input which states that a measurement is missing. */
 static bool is_sample(uint32_t reference) {
   return reference >= FMU_MISSING && reference - FMU_MISSING < (uint32_t)FMU_SENSED;
@@ -86,6 +91,8 @@ const char *fmu_get_number(fmu_unit *unit, uint32_t reference, double *value) {
     *value = state->applied[reference - FMU_U];
   } else if (reference >= FMU_SILENCE && reference < FMU_SILENCE + FMU_SILENCES) {
     *value = fmu_silence(&state->memory, reference - FMU_SILENCE);
+  } else if (is_delay(reference)) {
+    *value = state->late[reference - FMU_LATE];
   } else {
     return refuse_variable(unit, "number", reference);
   }
@@ -93,6 +100,10 @@ const char *fmu_get_number(fmu_unit *unit, uint32_t reference, double *value) {
 }
 
 const char *fmu_set_number(fmu_unit *unit, uint32_t reference, double value) {
+  if (is_delay(reference)) {
+    unit->state.late[reference - FMU_LATE] = value;
+    return NULL;
+  }
   if (reference < FMU_Y || reference - FMU_Y >= (uint32_t)FMU_MEASURED) {
     return refuse_variable(unit, "number that can be set", reference);
   }
@@ -160,6 +171,16 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
       return unit->sentence;
     }
   }
+  for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
+    double late = state->late[link];
+    bool valid = late >= 0.0 && late < (double)TAC_WAITING;
+    if (!valid || (double)(uint16_t)late < late) {
+      (void)snprintf(unit->sentence, sizeof unit->sentence,
+                     "the delay of link %u is %g; expected a whole number of steps below %d", link, late,
+                     (int)TAC_WAITING);
+      return unit->sentence;
+    }
+  }
   return NULL;
 }
 
@@ -167,6 +188,7 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
   fmu_state *state = &unit->state;
   tac_real measured[FMU_MEASURED];
   tac_real applied[FMU_APPLIED];
+  uint16_t late[TAC_LINKS];
   const char *refusal = check_step(unit, time, step);
   if (refusal != NULL) {
     return refusal;
@@ -174,7 +196,10 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
     measured[i] = state->missing[fmu_outputs[i]] ? (tac_real)NAN : (tac_real)state->measured[fmu_outputs[i]];
   }
-  if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, NULL, state->sent) <
+  for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
+    late[link] = (uint16_t)state->late[link];
+  }
+  if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, late, state->sent) <
       state->exchange.count) {
     state->phase = FMU_TERMINATED;
     return "a node does not go on; expected a reset";
@@ -199,6 +224,7 @@ static void point_as(tac_node *node, const tac_node *other) {
   node->memory = other->memory;
   node->outputs = other->outputs;
   node->input = other->input;
+  node->spare = other->spare;
   node->sequences = other->sequences;
   node->places = other->places;
   (void)memcpy(node->keys, other->keys, sizeof node->keys);

@@ -18,6 +18,7 @@ typedef struct {
   bool missing[FMU_MEASURED]; /* whether a measurement of the next step is missing */
   double applied[FMU_APPLIED];
   bool lost[TAC_LINKS]; /* whether a packet sent in the next step is dropped */
+  double late[TAC_LINKS]; /* number of steps after which it arrives, on a link that delays packets at random */
   bool sent[TAC_LINKS]; /* whether a packet was sent in the last step */
   uint64_t sends[TAC_LINKS];
   uint64_t tick; /* next step */
