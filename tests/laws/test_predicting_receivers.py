@@ -213,6 +213,45 @@ def test_a_node_counts_the_age_of_a_packet_until_it_hears_it() -> None:
         assert actuator.step(6).input == pytest.approx(gains.L @ closed @ used, rel=1e-6)
 
 
+def test_two_actuators_move_the_same_state_by_different_ages() -> None:
+    """Each with the gain of its own input, in a policy with a decision for each link."""
+    laws = {"links.pump-1.delay": [0.2, 0.3, 0.5], "links.pump-2.delay": [0.9, 0.1]}
+    problem = taciturn.load("quadruple-tank").changed(laws)
+    policy, discrete = problem.design(), discretise(problem.plant, problem.cost, 2.0)
+    plant, gains = discrete.plant, Gains.of(discrete.plant, Cost(discrete.Q, discrete.R, discrete.N))
+    state = np.arange(1.0, plant.states + 1)
+    for i, age in ((0, 0), (0, 2), (1, 1)):
+        node = f"pump-{i + 1}"
+        actuator = Node(policy, node, network=problem.network)
+        for k in range(3):
+            actuator.step(k)
+        moved_to = state
+        for _ in range(age):
+            moved_to = plant.A @ moved_to + plant.B @ gains.L @ moved_to
+        packet = Packet("data", node, 3 - age, 0, tuple(state))
+        assert actuator.step(3, packets=[packet]).input == pytest.approx(gains.L[[i]] @ moved_to, rel=1e-6)
+
+
+def test_an_actuator_moves_the_loop_of_a_given_controller() -> None:
+    """With the state of the controller and the output of the model, as if nothing had been measured since."""
+    A, B, C = np.array([[0.9, 0.2], [0.0, 0.7]]), np.array([[0.1], [0.3]]), np.array([[1.0, 0.5]])
+    plant, cost = Plant(A, B, 0.1 * np.eye(2), C, [[0.1]]), Cost(np.eye(2), [[0.1]])
+    kept = Controller([[0.6]], [[0.3]], [[-0.4]], [[-0.5]], E=[[0.2]])
+    network = late_network([0.3, 0.3, 0.3, 0.1])
+    policy = design.excess(plant, cost, theta=0.1, actuation="model", controller=kept, network=network)
+    x, r, y = np.array([1.0, -2.0]), np.array([0.7]), np.array([0.4])
+    packet = Packet("data", "actuator", 3, 0, (*(kept.C @ r + kept.D @ y), *x, *r, *y))
+    for age in range(4):
+        u = kept.C @ r + kept.D @ y
+        actuator = Node(policy, "actuator", network=network)
+        for k in range(3 + age):
+            actuator.step(k)
+        assert actuator.step(3 + age, packets=[packet]).input == pytest.approx(u)
+        x, r = A @ x + B @ u, kept.A @ r + kept.B @ y + kept.E @ u
+        y = C @ x
+        assert actuator.step(4 + age).input == pytest.approx(kept.C @ r + kept.D @ y)
+
+
 def test_what_cannot_be_predicted_is_refused_by_name() -> None:
     """Limits, horizons, acknowledgements, other routes, longer delays, and policies that do not know ages."""
     plant, cost, network = Plant([[1.1]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]]), late_network([0.5, 0.5])
