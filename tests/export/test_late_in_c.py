@@ -25,10 +25,19 @@ LAWS: dict[str, tuple[int, Problem]] = {
     "rounded": (3000, pendulum({"delta": 0.05}, payload="float32")),
     "not acknowledged": (3000, pendulum(acknowledged=False)),
     "predicted": (3000, pendulum({"delta": 0.05, "actuation": "model"}, acknowledged=False)),
-    "predicted by a controller": (3000, taciturn.load("inverted-pendulum").changed({
-        "kind": "excess", "link": "sensor", "actuation": "model", "theta": 0.3,
-        "network.sensor_delay": [0.3, 0.1, 0.5], "network.protocol": "udp",
-    })),
+    "predicted by a controller": (
+        3000,
+        taciturn.load("inverted-pendulum").changed(
+            {
+                "kind": "excess",
+                "link": "sensor",
+                "actuation": "model",
+                "theta": 0.3,
+                "network.sensor_delay": [0.3, 0.1, 0.5],
+                "network.protocol": "udp",
+            }
+        ),
+    ),  # fmt: skip
     "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
 }
 
