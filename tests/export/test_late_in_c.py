@@ -37,7 +37,7 @@ LAWS: dict[str, tuple[int, Problem]] = {
                 "network.protocol": "udp",
             }
         ),
-    ),  # fmt: skip
+    ),
     "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
 }
 
