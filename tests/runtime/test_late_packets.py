@@ -81,6 +81,8 @@ def loops() -> dict[str, Callable[[], Loop]]:
         "acknowledged": acknowledged,
         "acknowledged, within periods": lambda: acknowledged(delay=WITHIN),
         "acknowledged, rounded": lambda: acknowledged(payload="float32"),
+        "best gains": lambda: closed(pendulum({"delta": 0.05, "gains": "loss-optimal"})),
+        "best gains of sets": lambda: closed(sets(gains="loss-optimal")),
         "sets of actuators": lambda: closed(sets()),
         "sets of actuators, bursts": lambda: closed(sets(**{
             "links.valve.delay": {"states": states}, "links.valve.burst": burst

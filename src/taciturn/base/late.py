@@ -45,6 +45,7 @@ from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, pushed, symmetrised
@@ -73,6 +74,8 @@ Fates: TypeAlias = list[tuple[tuple[Fate, ...], float]]
 MOST_MODES = 512  # of one receiver and one state of the link: delays of up to 9 periods
 MOST_ENTRIES = 2_000_000  # of all P_I
 MOST_MOMENTS = 150_000  # fourth moments of all modes
+MOST_STEPS = 20_000  # of a horizon until the best gains repeat
+SETTLED = 1e-12  # relative change of the value within a step, of gains that repeat
 _WHOLE = 1e-9  # distance to a whole number of periods that counts as rounding
 _DIGITS = 10  # digits in which two equal laws agree
 _UNSEEN_GROWTH = 1e-5  # growth per step that rounding gives to moments that neither grow nor affect the cost
@@ -559,6 +562,78 @@ def _matrices(value: Array, modes: int, size: int) -> list[Array]:
         half[rows, columns] = part
         found.append(half + np.triu(half, 1).T)
     return found
+
+
+class _Stacked(NamedTuple):
+    """All outcomes of a step in all modes, one after the other."""
+
+    mode: npt.NDArray[np.int64]  # in which each begins
+    after: npt.NDArray[np.int64]  # index of the next mode
+    chances: Array
+    problem: Quadratic  # of three-dimensional arrays
+
+    def sums(self, values: Array, modes: int) -> Array:
+        """Return the expectation of a matrix of each outcome, in each mode."""
+        total = np.zeros((modes, *values.shape[1:]))
+        np.add.at(total, self.mode, self.chances[:, None, None] * values)
+        return total
+
+
+def _stacked(steps: Sequence[Sequence[Outcome]]) -> _Stacked:
+    """Collect the outcomes of a step in all modes."""
+    found = [(i, one) for i, step in enumerate(steps) for one in step]
+    parts = zip(*(one.motion.problem for _, one in found), strict=True)
+    return _Stacked(
+        np.array([i for i, _ in found]),
+        np.array([one.after for _, one in found]),
+        np.array([one.chance for _, one in found]),
+        Quadratic(*(np.array(part) for part in parts)),
+    )
+
+
+def best_gains(
+    plant: Periods, delays: Delays, receivers: Sequence[tuple[int, ...]] | None = None, every: int = 1
+) -> dict[Mode, Array]:
+    """Compute the gains K_I of the command with the least cost, by the mode, if a packet is sent at every q-th step.
+
+    They minimise u ↦ Σ_o q_o (stage_o + (A_o z + B_o u)'P_{I_o}(A_o z + B_o u)) in every mode, where the values P
+    follow from them (a jump linear quadratic regulator). The controller knows the mode, and s contains all that it
+    knows of the plant, so no control that knows no more costs less.
+
+    Raises:
+        UnstableError: the mean square grows with all gains.
+    """
+    n, m = len(plant.noise), plant.inputs
+    chain = chain_of(plant, np.zeros((m, n + m)), delays, receivers)
+    size, count = n + m * (delays.depth + 1), len(chain.modes)
+    send, silent = (_stacked(chain.outcomes[sent]) for sent in (chain.every, (False,) * delays.receivers))
+    P = np.zeros((count, size, size))
+    A, B, Q, R, N = send.problem
+    for _ in range(MOST_STEPS):
+        check_time()
+        ahead = P
+        for _ in range(every - 1):  # the silent steps that follow a packet
+            V = ahead[silent.after]
+            F = silent.problem.A
+            ahead = silent.sums(silent.problem.Q + F.swapaxes(1, 2) @ V @ F, count)
+        V = ahead[send.after]
+        VA, VB = V @ A, V @ B
+        H = send.sums(R + B.swapaxes(1, 2) @ VB, count)
+        G = send.sums(N.swapaxes(1, 2) + B.swapaxes(1, 2) @ VA, count)
+        gains = -np.linalg.pinv(H, hermitian=True) @ G
+        whole = send.sums(Q + A.swapaxes(1, 2) @ VA, count) + G.swapaxes(1, 2) @ gains
+        after = (whole + whole.swapaxes(1, 2)) / 2
+        change, largest = float(np.abs(after - P).max()), float(np.abs(after).max(initial=0.0))
+        P = after
+        if not largest <= LARGEST:
+            break
+        if change <= SETTLED * largest:
+            return dict(zip(chain.modes, gains, strict=True))
+    often = "every sample" if every == 1 else f"one packet in {every} steps"
+    raise UnstableError(
+        f"the mean square of the loop that sends {often} grows with all gains, with packets that arrive up to "
+        f"{number_of(delays.depth, 'period')} late or never; expected shorter delays, or fewer dropped packets"
+    )
 
 
 def _unstable(chain: Chain, grows: float, remedy: str) -> UnstableError:

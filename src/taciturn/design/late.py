@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from taciturn.base.late import LateValue, fourth_growth
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import MEASURED, NEXT, REGISTER, nonempty
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.late_base import LateBase, PeriodicPackets, Receiver, Receivers
+from taciturn.design.late_base import Gain, LateBase, PeriodicPackets, Receiver, Receivers
 from taciturn.design.late_belief import Histories, LateBelief, Way
 from taciturn.design.several_nodes import (
     COMMAND,
@@ -81,6 +82,7 @@ MOST_BELIEVED = 64  # modes of which a controller has probabilities
 LAST, COSTS = "last command", "costs of silence"
 MOST_HISTORIES = 256  # of a step that is not acknowledged yet
 LEAST_NOISE = 1e-12  # share of an output's error in all of them, below which it counts as none
+Part = TypeVar("Part")  # a form, or the terms of a sum
 MOST_FORMS = 1024  # of the cost of silence, one for each set of links and each mode
 
 
@@ -93,6 +95,7 @@ def late_excess(
     price_at: Callable[[float], float],
     network: Network,
     design_delay: float | None,
+    best: bool = False,
 ) -> Policy:
     """Return the policy that sends iff silence costs more than the price, over links with random delays and losses."""
     informs = next(link for link in network.actuators if link in network.links and network.acknowledges(link))
@@ -110,7 +113,7 @@ def late_excess(
             f"design_delay is {design_delay:g}, and a controller is given; expected no design_delay: the controller "
             "states its own gains"
         )
-    base = LateBase(kind, with_transport(plant, None), cost, period, kept, network, design_delay)
+    base = LateBase(kind, with_transport(plant, None), cost, period, kept, network, design_delay, best)
     try:
         closed = base.closed()
     except UnstableError as error:
@@ -152,7 +155,7 @@ class _LateSteps(Displayed):
     found: LateValue
     pieces: Pieces | None  # of a period, if inputs change within it
     state: tuple[str, ...]  # the signals of s
-    K: Array  # gain of the command on z
+    K: Gain  # of the command on z
     price: float
     nodes: Receivers
 
@@ -165,10 +168,9 @@ class _LateSteps(Displayed):
         before, estimation = self._measured(), estimate_state(plant, self.problem.filter(), at)
         initial = dict(estimation.initial)
         before += estimation.correct
+        in_flight = self._in_flight_decisions()
         if given is None:
-            n, m = plant.states, plant.inputs
-            gains = np.split(self.K, [n, *(n + m * age for age in range(1, depth + 1))], axis=1)
-            command = dict(zip((ESTIMATE, *self.sent, HELD), gains, strict=True))
+            before += [*in_flight, *self._command()]
         else:
             c = given.controller
             shown = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
@@ -176,8 +178,7 @@ class _LateSteps(Displayed):
             if len(c.A):
                 before.append(Assign(at, REGISTER, {NEXT: np.eye(len(c.A))}))
                 initial[NEXT] = given.point.start
-            command = {REGISTER: c.C, MEASURED: c.D}
-        before.append(Assign(at, COMMAND, nonempty(command)))
+            before += [Assign(at, COMMAND, nonempty({REGISTER: c.C, MEASURED: c.D})), *in_flight]
         watched = self._watched_flight() if len(self.found.chain.delays.turns) == 1 else self._believed()
         rest = [*self._acting(COMMAND), *self._tried(), *watched.after]
         for age in range(depth, 1, -1):
@@ -388,9 +389,6 @@ class _LateSteps(Displayed):
     def _watched_flight(self) -> _Watched:
         """Return the steps of links with one state: a flag for each packet says whether it is in flight."""
         found, nodes, flags, before = self.found, self.nodes, self._flags(), list[Step]()
-        for key, flag in flags.items():
-            none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
-            before.append(Decide(self.at, self._in_flight(key), none_or_some))
         if (len(nodes.sets) - 1) << len(flags) > MOST_FORMS:
             raise ProblemError(
                 f"packets that arrive up to {number_of(self.depth, 'period')} late, over "
@@ -402,7 +400,7 @@ class _LateSteps(Displayed):
             Psi, psi = (values[nodes.sent(sent)] for values in (found.Psi, found.psi))
             # a set of packets is not a mode if they are never in flight together
             costs = {mode: Form(self.signals, Psi[i], float(psi[i])) for i, mode in enumerate(self._modes())}
-            before += self._selected(costs, flags, self.cost(sent))
+            before += self._selected(costs, flags, self.cost(sent), np.ones((1, 1)), self._evaluated)
         return _Watched(tuple(before), tuple(self._flown(flags)), {})
 
     def _flags(self) -> dict[tuple[int, int], str]:
@@ -433,25 +431,60 @@ class _LateSteps(Displayed):
                     after.append(Assign(self.at, flag, ({flag: one}, {ONE: 0.0 * one}), arrived))
         return after
 
+    def _in_flight_decisions(self) -> list[Step]:
+        """Return the decisions whether each packet is in flight, if the states of the links are known."""
+        if len(self.found.chain.delays.turns) > 1:
+            return []
+        found = list[Step]()
+        for key, flag in self._flags().items():
+            none_or_some = Trigger({"no": Form(plus={flag: 1.0}), "yes": Form(constant=0.5)})  # the flag is 0 or 1
+            found.append(Decide(self.at, self._in_flight(key), none_or_some))
+        return found
+
+    def _command(self) -> list[Step]:
+        """Return the steps that compute the command of LQG, whose gain may depend on the packets in flight."""
+        n, m, depth = self.problem.plant.states, self.problem.plant.inputs, self.depth
+        ends = [n, *(n + m * age for age in range(1, depth + 1))]
+
+        def terms(gain: Array) -> dict[str, Array]:
+            return dict(zip((ESTIMATE, *self.sent, HELD), np.split(gain, ends, axis=1), strict=True))
+
+        if not callable(self.K):
+            return [Assign(self.at, COMMAND, terms(self.K))]
+        gains = zip(self._modes(), self.found.chain.gains, strict=True)
+        sums = {mode: terms(gain) for mode, gain in gains}
+        return self._selected(sums, self._flags(), COMMAND, np.eye(m), self._assigned)
+
+    def _assigned(self, name: str, sums: Sequence[dict[str, Array]], on: str | None) -> Step:
+        return Assign(self.at, name, tuple(sums) if on else sums[0], on)
+
+    def _evaluated(self, name: str, forms: Sequence[Form], on: str | None) -> Step:
+        return Evaluate(self.at, name, tuple(forms), on)
+
     def _in_flight(self, key: tuple[int, int]) -> str:
         """Return the name of the decision whether a packet is in flight, by its receiver and age."""
         return f"{self.nodes.named(f'packet {key[1]}', self.nodes.all[key[0]].node)} is in flight"
 
     def _selected(
-        self, costs: Mapping[frozenset[tuple[int, int]], Form], flags: Mapping[tuple[int, int], str], cost: str
+        self,
+        costs: Mapping[frozenset[tuple[int, int]], Part],
+        flags: Mapping[tuple[int, int], str],
+        cost: str,
+        unit: Array,
+        step: Callable[[str, Sequence[Part], str | None], Step],
     ) -> list[Step]:
-        """Return the steps that evaluate the cost of silence in the mode, the set of packets in flight."""
+        """Return the steps that compute what depends on the mode, the set of packets in flight."""
         empty = frozenset[tuple[int, int]]()
         if not flags:
-            return [Evaluate(self.at, cost, (costs[empty],))]
+            return [step(cost, (costs[empty],), None)]
         first, *others = flags
-        found, unit = list[Step](), np.ones((1, 1))
+        found = list[Step]()
         # the first packet selects a form; each further one selects between two values
         names: dict[frozenset[tuple[int, int]], str] = {}
         for mode in _subsets(others):
             name = cost if not others else f"{cost} with {self._packets(mode)} in flight"
             forms = (costs.get(mode, costs[empty]), costs.get(mode | {first}, costs[empty]))
-            found.append(Evaluate(self.at, name, forms, self._in_flight(first)))
+            found.append(step(name, forms, self._in_flight(first)))
             names[mode] = name
         for key in others:
             merged: dict[frozenset[tuple[int, int]], str] = {}

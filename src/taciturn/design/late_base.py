@@ -3,10 +3,10 @@
 Each actuator receives its inputs over a link with a law of delays and losses, or is at the controller's site, where
 every input arrives at once. ``LateBase`` closes the loop of LQG or of a given controller over them (``base/late``).
 
-LQG has the gains for a constant delay, by default the mean delay of the packets that arrive. With d whole periods and a
-part of one, these gains are those of the plant with registers for the last commands (``lqg/registers``). A command that
-is still to act is in a packet that may be in flight or lost, so the registers take the last commands that were sent,
-and the oldest one the input that acts.
+LQG has the gains with the least cost in each mode, or those for a constant delay, by default the mean delay of the
+packets that arrive. With d whole periods and a part of one, the latter are those of the plant with registers for the
+last commands (``lqg/registers``). A command that is still to act is in a packet that may be in flight or lost, so the
+registers take the last commands that were sent, and the oldest one the input that acts.
 
 If the mean square of the loop grows, the error says by how much sooner packets would have to arrive (``sooner``).
 ``PeriodicPackets`` is the cost of the same loop with a packet at every q-th step.
@@ -16,10 +16,11 @@ Source: nilsson1998, antunes2014rollout
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,8 +29,8 @@ from taciturn._display import Displayed
 from taciturn._text import number_of
 from taciturn.base.filter import ESTIMATE, SEND
 from taciturn.base.given_controller import GivenLoop, lqg_observer
-from taciturn.base.late import Delays, LateValue, chain_of, late_value, periodic_cost
-from taciturn.base.periods import periods_of, with_controller, with_filter
+from taciturn.base.late import Delays, LateValue, Mode, best_gains, chain_of, late_value, periodic_cost
+from taciturn.base.periods import Periods, periods_of, with_controller, with_filter
 from taciturn.base.route import MEASURED, REGISTER
 from taciturn.design.kind import check_place
 from taciturn.design.several_nodes import (
@@ -51,6 +52,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.transport import with_transport
 
+Gain: TypeAlias = Array | Callable[[Mode], Array]  # of the command on z, or by the mode
 OTHER_GAINS = "gains for another delay (design_delay)"
 PARTS = 64  # of a period, in which delays are tried that would be short enough
 
@@ -70,7 +72,7 @@ class ClosedBase(Displayed):
     nodes: Receivers
     pieces: Pieces | None  # of a period, if inputs change within it
     state: tuple[str, ...]  # the signals of s
-    K: Array  # gain of the command on z
+    K: Gain  # of the command on z
     found: LateValue
 
 
@@ -85,6 +87,7 @@ class LateBase(Displayed):
     kept: AnyController | None  # None: LQG
     network: Network
     design_delay: float | None
+    best: bool = False  # whether LQG has the gains with the least cost, by the packets in flight
 
     def closed(self) -> ClosedBase:
         """Close the loop and compute its value.
@@ -106,23 +109,34 @@ class LateBase(Displayed):
         seconds = tick if problem.sampled else None
         pieces = discretise(source, problem.cost, seconds, None, cuts).pieces if cuts else None
         delays, whole = Delays.together([one.delays for one in nodes.all]), periods_of(problem, pieces)
+        rows = [tuple(one.rows) for one in nodes.all]
+        if nodes.told_late:
+            _expect_uninformed(nodes, loop if kept is not None else None, len(delays.turns))
         if kept is None:
-            K = self.gain(nodes, delays.depth)
             base, state = with_filter(whole, problem.filter()), (ESTIMATE,)
+            K = self.gain(nodes, base, delays)
         else:
             base, K = with_controller(whole, loop.controller, problem.plant.C, problem.plant.V)
             state = (ESTIMATE, MEASURED, *((REGISTER,) if len(loop.controller.A) else ()))
-        if nodes.told_late:
-            _expect_uninformed(nodes, loop if kept is not None else None, len(delays.turns))
-        rows = [tuple(one.rows) for one in nodes.all]
         found = late_value(chain_of(base, K, delays, rows), loop.remedy if kept is not None else OTHER_GAINS)
         return ClosedBase(loop, nodes, pieces, state, K, found)
 
-    def gain(self, nodes: Receivers, depth: int, every: int = 1) -> Array:
-        """Return the gain on z of LQG for constant delays: the given one, or for each link the mean of its own.
+    def gain(self, nodes: Receivers, base: Periods, delays: Delays, every: int = 1) -> Gain:
+        """Return the gain of LQG on z: the best one in each mode, or one for constant delays.
 
         With packets at every q-th step, it is the optimal one for an input that is held between them.
         """
+        if not self.best:
+            return self._gain_for_mean(nodes, delays.depth, every)
+        if len(delays.turns) > 1:
+            raise ProblemError(
+                "gains = 'loss-optimal', and the state of a link with bursts is unknown; expected independent losses "
+                "and delays, or gains = 'lqg'"
+            )
+        return best_gains(base, delays, [tuple(one.rows) for one in nodes.all], every).__getitem__
+
+    def _gain_for_mean(self, nodes: Receivers, depth: int, every: int) -> Array:
+        """Return the gain on z for constant delays: the given one, or for each link the mean of its own."""
         plant, given = self.plant, self.design_delay
         step = 1.0 if isinstance(plant, Plant) else float(self.period or 1.0)
         n, m, waits = plant.states, plant.inputs, [Wait()] * plant.inputs
@@ -207,7 +221,7 @@ class PeriodicPackets(Displayed):
         chain, problem, gains = self.closed.found.chain, self.closed.loop.problem, [self.closed.K]
         if self.base.kept is None and steps > 1:
             with suppress(UnstableError):  # holding an input for so long may prevent stabilisation
-                gains.append(self.base.gain(self.closed.nodes, chain.delays.depth, steps))
+                gains.append(self.base.gain(self.closed.nodes, chain.plant, chain.delays, steps))
         rows = [tuple(one.rows) for one in self.closed.nodes.all]
         costs = [periodic_cost(chain_of(chain.plant, K, chain.delays, rows), steps) for K in gains]
         return [None if cost is None else cost - problem.noise_cost for cost in costs]

@@ -107,7 +107,8 @@ def excess(
             gains are the optimal ones for these packets and for what the actuator applies between them. Default: every
             sample.
         gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"loss-optimal"``:
-            those that cost least with the network's mean loss.
+            those that cost least with the network's mean loss or, with acknowledged random delays, with the packets
+            that are in flight.
         design_delay: with a link whose packets have random delays, the constant delay for which the gains of LQG are
             made: seconds, or steps of a discrete plant; default: the mean delay of the packets that arrive.
         retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
@@ -144,16 +145,24 @@ def excess(
     planned = number("plan", plan, 0, MOST_STEPS, closed=True)
     if planned % 1.0:
         raise ProblemError(f"plan is {plan}; expected a whole number of steps from 0 to {MOST_STEPS}")
+    choice("gains", gains, ("lqg", "loss-optimal"))
     own = (link, every, gains, retry, actuation) != ("actuator", 1, "lqg", False, "hold")
     if informed(links):
-        if own or plan:
+        best = gains == "loss-optimal"
+        if (link, every, retry, actuation) != ("actuator", 1, False, "hold") or plan:
             acknowledged = next(node for node in links.actuators if links.acknowledges(node))
             raise ProblemError(
                 f"{links.lateness(acknowledged)}, with acknowledgements; expected link = 'actuator', every = 1, "
-                "actuation = 'hold', gains = 'lqg', no retry and no plan, or a buffer"
+                "actuation = 'hold', no retry and no plan, or a buffer"
+            )
+        if best and (controller is not None or design_delay is not None):
+            stated = "a controller" if design_delay is None else "design_delay"
+            raise ProblemError(
+                f"gains = 'loss-optimal', and {stated} is given, which states the gains; expected gains = 'lqg', or no "
+                f"{stated.removeprefix('a ')}"
             )
         kept = None if controller is None else controller_from(controller)
-        return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay)
+        return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay, best)
     if design_delay is not None:
         raise ProblemError(
             f"design_delay is {design_delay:g}, but no link has acknowledged packets with random delays; expected no "
@@ -172,7 +181,7 @@ def excess(
         ahead = Ahead(links.longest(link, problem.tick), int(plan))
         return _lqg(problem, actuation, price_at, unsure(links, link), ahead)
     L = None
-    if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
+    if gains == "loss-optimal":
         if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
             raise ProblemError(
                 "gains = 'loss-optimal' does not apply here; expected an actuator link that drops packets and "
