@@ -161,7 +161,7 @@ def count_packets(
 
 @dataclass(frozen=True, eq=False)
 class Fates:
-    """What becomes of the packet of each step of each path, (steps, paths); all are false if none is sent."""
+    """The fate of the packet of each step of each path, (steps, paths); all are false if none is sent."""
 
     arrives: Bits  # before the end of the path
     lost: Bits  # never arrives
