@@ -159,8 +159,8 @@ def count_packets(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Fates:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fates(Displayed):
     """The fate of the packet of each step of each path, (steps, paths); all are false if none is sent."""
 
     arrives: Bits  # before the end of the path
