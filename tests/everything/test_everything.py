@@ -63,7 +63,8 @@ def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("names", few(FIXED, 6), ids=" + ".join)
 def test_features_that_meet_are_simulated_alike(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """Every cheap check is made, and none finds a fault."""
-    few_steps(monkeypatch)
+    if "valves of different delays" not in names:  # whose banks take long to fill
+        few_steps(monkeypatch)
     report = tried(names, 1, ())
     assert report is not None
     assert report.refused is None
