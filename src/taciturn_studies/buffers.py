@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from taciturn.errors import ProblemError, TaciturnError
@@ -38,7 +39,7 @@ from taciturn.extend import (
 from taciturn.model.delay import Wait
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import SPLICED, VERDICT, Field, Part, Tabular
-from taciturn.problem import Problem
+from taciturn.problem import CHANGED, Problem
 from taciturn.problem.without_file import Studied, as_problem
 from taciturn.renewal.without_steps import nodes_of
 from taciturn.simulation.average import average, check_effort
@@ -87,7 +88,7 @@ def tune_buffer(
         progress: callback that receives the fraction done.
 
     Returns:
-        The best buffer, and the share of late or lost packets and the cost for each buffer that was tried.
+        The best buffer, and for each buffer that was tried its cost, and the share of packets late or dropped.
 
     Raises:
         ProblemError: the link has no random delay, a cost is given in percent, or no buffer can be used.
@@ -241,7 +242,7 @@ class TriedBuffer(Displayed):
     @property
     def refused(self) -> str:
         """Why there is no cost."""
-        return "" if self.error is None else str(self.error)
+        return "" if self.error is None else str(self.error).removeprefix(f"{CHANGED}: ")
 
     @property
     def reached(self) -> bool:
@@ -264,6 +265,17 @@ class TriedBuffer(Displayed):
     def short(self) -> str:
         """Write buffer and cost."""
         return f"{self.buffer.text()}: cost {self.cost}"
+
+
+def _refusals(tried: Sequence[TriedBuffer]) -> list[tuple[str, str]]:
+    """Return a line for each row of refused buffers, with the reason of the largest one."""
+    found = list[tuple[str, str]]()
+    for refused, each in groupby(tried, lambda one: bool(one.refused)):
+        row = list(each)
+        low, high = row[0].buffer.text(), row[-1].buffer.text()
+        if refused:
+            found.append(("refused", f"{low if len(row) == 1 else f'{low} to {high}'}: {row[-1].refused}"))
+    return found
 
 
 def _objective(one: TriedBuffer) -> float:
@@ -313,7 +325,7 @@ class TunedBuffer(Tabular):
 
     @property
     def aim(self) -> str:
-        """What was sought, in words."""
+        """Aim of the search, in words."""
         what = "least cost of every sample" if self.best.tuned is None else self.best.tuned.aim
         return f"{self.key} = {self.buffer.text()}, {what}"
 
@@ -371,7 +383,7 @@ class TunedBuffer(Tabular):
         return self.tried
 
     def row_fields(self) -> tuple[Field[TriedBuffer], ...]:
-        """Return the columns of the table: buffer, share of late or lost packets, cost, and the tuned parameter."""
+        """Return the columns of the table: buffer, share of packets that are late or dropped, cost, parameter."""
         tuned = next((one.tuned for one in self.tried if one.tuned is not None), None)
         name = "" if tuned is None else tuned.parameter.name
         what = "cost of every sample" if tuned is None else "cost"
@@ -400,7 +412,7 @@ class TunedBuffer(Tabular):
         """Return the lines of one part of the text, then those of the tuned policy."""
         own = super().lines(part)
         if part == "details":
-            own = [(f"refused, {one.buffer.text()}", one.refused) for one in self.tried if one.refused] + own
+            own = [*_refusals(self.tried), *own]
         return own + ([] if part == "verdict" or self.best.tuned is None else self.best.tuned.lines(part))
 
     def plot(self, ax: Any = None, figsize: Size | None = None, style: StyleName = "light") -> Figure:

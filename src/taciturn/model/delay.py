@@ -152,7 +152,7 @@ class DelayLaw(Displayed):
         return np.average(np.array(self.odds), axis=0, weights=shares if len(shares) == len(self.odds) else None)
 
     def mean_by(self, shares: Sequence[float] = ()) -> float:
-        """Return the mean delay of the packets that arrive, for the shares of the states of the link, or equal ones."""
+        """Return the mean delay of packets that arrive, for the shares of the states of the link; default: equal."""
         weights = self.arriving(shares)
         return float(np.dot(self.waits, weights) / weights.sum())
 

@@ -159,9 +159,9 @@ def count_packets(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Fates:
-    """What becomes of the packet of each step of each path, (steps, paths); all are false if none is sent."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Fates(Displayed):
+    """The fate of the packet of each step of each path, (steps, paths); all are false if none is sent."""
 
     arrives: Bits  # before the end of the path
     lost: Bits  # never arrives

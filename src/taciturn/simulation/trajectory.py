@@ -177,7 +177,7 @@ class Trajectory(Tabular):
 
     @property
     def registers(self) -> dict[str, str]:
-        """What the states of the plant hold that delays of links add to it, by the symbol of the state."""
+        """Contents of the states that delays of links add to a plant, by the symbol of the state."""
         return {f"x{i + 1}": name for i, name in self._registers().items()}
 
     def _registers(self) -> dict[int, str]:
