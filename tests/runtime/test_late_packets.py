@@ -81,6 +81,14 @@ def loops() -> dict[str, Callable[[], Loop]]:
         "acknowledged": acknowledged,
         "acknowledged, within periods": lambda: acknowledged(delay=WITHIN),
         "acknowledged, rounded": lambda: acknowledged(payload="float32"),
+        "measurements": lambda: heard(
+            {"actuation": "hold", "network.protocol": "tcp", "theta": 0.1, "network.sensor_delay": [0.5, 0.4]}
+        ),
+        "measurements at an operating point": lambda: heard({
+            "actuation": "hold", "network.protocol": "tcp", "theta": 0.1, "network.sensor_delay": [0.5, 0.4],
+            "network.payload": "float32",
+            "plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]},
+        }),
         "best gains": lambda: closed(pendulum({"delta": 0.05, "gains": "loss-optimal"})),
         "best gains of sets": lambda: closed(sets(gains="loss-optimal")),
         "sets of actuators": lambda: closed(sets()),

@@ -289,7 +289,7 @@ class Receivers(Displayed):
                     "expected acknowledgements on all links to actuators, or ideal links"
                 )
             law = network.random_delay(node, period) if linked else None
-            law_and_losses = _delays(law, network, node) if linked else Delays.of([0.0], [1.0])
+            law_and_losses = delays_of(law, network, node) if linked else Delays.of([0.0], [1.0])
             found.append(Receiver(node, signal, rows, linked, law, law_and_losses))
         nodes = Receivers(network, tuple(found))
         expect_few_links(kind, nodes.links)
@@ -351,7 +351,7 @@ class Receivers(Displayed):
         return name if len(self.all) == 1 else f"{name} to {node}"
 
 
-def _delays(law: DelayLaw | None, network: Network, link: str) -> Delays:
+def delays_of(law: DelayLaw | None, network: Network, link: str) -> Delays:
     """Return the law of the delays of packets, and of their losses, by the state of the link."""
     if law is not None and law.sequence:
         raise ProblemError(

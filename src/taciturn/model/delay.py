@@ -179,6 +179,10 @@ class DelayLaw(Displayed):
         sequence = tuple(renamed[one] for one in self.sequence)
         return replace(self, waits=tuple(found.tolist()), odds=rows, sequence=sequence)
 
+    def at_steps(self) -> DelayLaw:
+        """Return the law, in periods, of the steps in which packets are heard by a node that works once per step."""
+        return self._with(np.ceil(np.array(self.waits) - WHOLE))
+
     def in_periods(self, period: float) -> DelayLaw:
         """Return the law with delays in periods, of which at most ``MOST_PIECES`` parts of a period differ."""
         waits = np.array(self.waits) / (period if self.in_seconds else 1.0)

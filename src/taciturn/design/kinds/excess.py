@@ -33,6 +33,7 @@ from taciturn.design.bounds import bound_by_silence, expect_one_threshold, thres
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.late import late_excess
 from taciturn.design.late_base import informed
+from taciturn.design.late_sensor import late_measurements, tells_sensor
 from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -163,6 +164,15 @@ def excess(
             )
         kept = None if controller is None else controller_from(controller)
         return late_excess("excess", plant, cost, period, kept, price_at, links, design_delay, best)
+    if link == "sensor" and tells_sensor(links) and actuation == "hold":
+        if (every, gains, retry) != (1, "lqg", False) or plan or design_delay is not None:
+            raise ProblemError(
+                f"{links.lateness('sensor')}, with acknowledgements; expected every = 1, gains = 'lqg', no retry, no "
+                "plan and no design_delay, or a buffer"
+            )
+        observer = None if controller is not None else lqg_observer("excess", discretise(plant, cost, period))
+        kept = observer or controller_from(controller)
+        return late_measurements("excess", plant, cost, period, kept, observer is not None, price_at, links)
     if design_delay is not None:
         raise ProblemError(
             f"design_delay is {design_delay:g}, but no link has acknowledged packets with random delays; expected no "
