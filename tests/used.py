@@ -197,6 +197,9 @@ LINKS: Mapping[str, Callable[[Network], Network]] = {
     "network.sensor_delay": lambda network: network.changed({"sensor": {"delay": 1}}),
     "network.actuator_buffer": lambda network: network.changed({"actuator": {"buffer": 2}}),
     "network.sensor_buffer": lambda network: network.changed({"sensor": {"buffer": 2}}),
+    "network.actuator_acknowledgement_delay": lambda network: network.changed(
+        {"actuator": {"acknowledged": True, "loss": 0.2, "acknowledgement_delay": 1}}
+    ),
     "network.payload": lambda network: network.with_laws({"payload": "float32"}),
     "network.actuator_range": lambda network: network.changed({"actuator": {"payload": "int16", "range": (2.0,)}}),
     "network.sensor_range": lambda network: network.changed({"sensor": {"payload": "int16", "range": (2.0,)}}),

@@ -39,7 +39,7 @@ from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.information import expect_held
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import TOO_LATE, Network
+from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import (
     Acknowledged,
@@ -234,17 +234,8 @@ class Kind(Displayed):
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses and network.losing is not None:
-            if network.late:
-                raise PlacementError(
-                    f"{network.lateness(network.late[0])}, which the policy kind {self.name} does not use; expected a "
-                    f"constant delay, or {network.key(network.late[0], 'buffer')} of at least the largest delay"
-                )
-            late = network.losing.startswith(TOO_LATE)
-            remedy = "a buffer that no delay exceeds" if late else f"remove {network.losing}"
-            raise PlacementError(
-                f"{network.losing} is given, which the policy kind {self.name} does not use; expected ideal links: "
-                f"{remedy} (`taciturn network FILE --loss P` drops packets of any policy kind)"
-            )
+            got = network.lateness(network.late[0]) if network.late else f"{network.losing} is given"
+            raise PlacementError(f"{got}, which the policy kind {self.name} does not use; {network.remedy}")
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
             raise ProblemError(

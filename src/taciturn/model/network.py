@@ -583,16 +583,27 @@ class Network(Displayed):
     def lateness(self, link: str) -> str:
         """Return a clause about a link with random delays, or whose sender learns of a loss only after the delay."""
         law = self.links[link]
-        if law.delay is None and law.buffer is None and law.acknowledgement_delay:
+        after = law.buffer or (None if law.delay is None else law.delay.constant)
+        if law.acknowledgement_delay and (law.delay is None or (after is not None and not any(after))):
             return f"{self.key(link, 'acknowledgement_delay')} is 1, and packets may be lost"
         name = self.key(link, "delay" if law.buffer is None else "buffer")
-        after = law.buffer or (None if law.delay is None else law.delay.constant)
         return f"{name} is random" if after is None else f"{name} is {after.text()}, and packets may be lost"
 
     def longest(self, link: str, period: float) -> int:
         """Return the number of steps after which the latest packet of a link with random delays arrives; else 0."""
         law = self.random_delay(link, period)
         return 0 if law is None else ceil(max(law.waits))
+
+    @property
+    def remedy(self) -> str:
+        """How links that are ``losing`` become ideal, for messages."""
+        key = self.losing
+        if self.late:
+            law, buffer = self.links[self.late[0]], self.key(self.late[0], "buffer")
+            told = "" if not law.acknowledgement_delay else ", acknowledgements before the next step"
+            return f"expected a constant delay{told}, or {buffer} of at least the largest delay"
+        removed = "a buffer that no delay exceeds" if key and key.startswith(TOO_LATE) else f"remove {key}"
+        return f"expected ideal links: {removed} (`taciturn network FILE --loss P` drops packets of any policy kind)"
 
     @property
     def late(self) -> tuple[str, ...]:
