@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 import scipy.linalg as la
 
+from taciturn._arrays import block_diagonal, symmetrised
 from taciturn.base.late import Delays, LateValue
+from taciturn.base.periods import Period, Periods
+from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.sampling import Sampled, sample
 
 
 def held(
@@ -114,6 +118,42 @@ class LateLoop:
         N[: n + k, : n + k] = noise[0] @ W @ noise[0].T + noise[1] @ self.V @ noise[1].T
         self._kept[key] = F, T.T @ M @ T, N, c
         return self._kept[key]
+
+
+def sampled_periods(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, N: np.ndarray, W: np.ndarray, period: float
+) -> Periods:
+    """Return the periods of a continuous-time plant; all weights and the noise intensity are per unit of time."""
+    given = Quadratic.checked(A, B, Q, R, N)
+    move = _Held(given, W, period)
+    whole = move.piece(())
+    return Periods(move, given.B.shape[1], whole.W, whole.noise_cost)
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """The periods of a sampled plant, each sampled with the input that acts in each of its pieces."""
+
+    given: Quadratic
+    W: np.ndarray
+    period: float
+    _kept: dict[tuple[float, ...], Sampled] = field(default_factory=dict[tuple[float, ...], Sampled])
+
+    def piece(self, fractions: tuple[float, ...]) -> Sampled:
+        """Return the sampled period in which the input changes at the given fractions."""
+        if fractions not in self._kept:
+            cuts = (0.0, *(one for one in fractions if one > 0.0))
+            self._kept[fractions] = sample(*self.given, self.W, self.period, cuts=cuts)
+        return self._kept[fractions]
+
+    def __call__(self, fractions: tuple[float, ...]) -> Period:
+        """Return the period in which the input changes at the given fractions of it."""
+        found, m = self.piece(fractions), self.given.B.shape[1]
+        A, B, Q, R, N = found.quadratic
+        if fractions[:1] == (0.0,):  # the input before the first change does not act
+            B, N = (np.hstack([np.zeros((len(A), m)), part]) for part in (B, N))
+            R = block_diagonal(np.zeros((m, m)), R)
+        return Period(np.hstack([A, B]), symmetrised(np.block([[Q, N], [N.T, R]])))
 
 
 Packet = tuple[int, tuple[bool, ...], int, tuple[Any, ...]]  # state of the link, receivers, fate, what is known

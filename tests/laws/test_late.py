@@ -11,7 +11,7 @@ import scipy.linalg as la
 from drawn import law, left_out
 from hypothesis import assume
 from hypothesis import strategies as st
-from late_packets import LateLoop, held, lasting
+from late_packets import LateLoop, held, lasting, sampled_periods
 from laws.test_given_controllers import random_loop
 from measured import times
 from systems import System, continuous_system, systems
@@ -19,7 +19,7 @@ from systems import System, continuous_system, systems
 from taciturn import Controller, ProblemError, UnstableError
 from taciturn.base import late
 from taciturn.base.late import Delays, LateValue, chain_of, delayed_problem, fourth_growth, histories, late_value
-from taciturn.base.periods import Periods, discrete_periods, sampled_periods, with_controller, with_filter
+from taciturn.base.periods import Periods, discrete_periods, with_controller, with_filter
 from taciturn.base.route import actuator_base
 from taciturn.base.value import Attempts, advantage
 from taciturn.lqg.discrete import discretise

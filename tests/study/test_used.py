@@ -84,6 +84,7 @@ def test_the_table_has_every_kind_and_every_property() -> None:
         "network.missing",  # in the tables of links, which every kind with steps simulates
     }
     keys |= {f"network.{link}_{name}" for link in ("actuator", "sensor") for name in ("delay", "buffer")}
+    keys.add("network.actuator_acknowledgement_delay")
     assert keys == set(LINKS)
     assert all(row.keys() == {*PROPERTIES, *LINKS} for row in printed().values())
 
@@ -131,6 +132,7 @@ def test_acknowledgements_that_no_node_uses_are_reported() -> None:
     told = "no node uses the acknowledgements of protocol 'tcp'"
     assert told in close(FULL, policy, Network("tcp", 0.1), COST).violated_assumptions
     assert told not in close(FULL, policy, Network("udp", 0.1), COST).violated_assumptions
+    assert told not in close(FULL, policy, Network("tcp"), COST).violated_assumptions  # nothing is lost or late
     lossy = design.lossy_lqg(FULL, COST, price=0.1, network=Network("tcp", 0.1, 0.2))
     assert close(FULL, lossy).violated_assumptions == ()
 

@@ -597,8 +597,8 @@ def best_gains(
     """Compute the gains K_I of the command with the least cost, by the mode, if a packet is sent at every q-th step.
 
     They minimise u ↦ Σ_o q_o (stage_o + (A_o z + B_o u)'P_{I_o}(A_o z + B_o u)) in every mode, where the values P
-    follow from them (a jump linear quadratic regulator). The controller knows the mode, and s contains all that it
-    knows of the plant, so no control that knows no more costs less.
+    follow from them (a jump linear quadratic regulator). The controller knows the mode, and s is its estimate of the
+    state, so no control with the same measurements and acknowledgements costs less.
 
     Raises:
         UnstableError: the mean square grows with all gains.

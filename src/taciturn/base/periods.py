@@ -5,8 +5,7 @@
 where s is the part of the loop that noise enters, u_0 is the input that acts at the beginning of the period, and u_i
 acts from the i-th fraction on. Noise and its cost do not depend on the inputs. The periods of a plant are those of
 
-1. a continuous-time plant: exact sampling over each piece between two changes (``lqg/sampling``), with the input that
-   acts in it;
+1. a continuous-time plant: the pieces of a period that begin wherever an input may change (``lqg/sampling``);
 2. a discrete-time plant, where all changes are at the beginning of a step.
 
 The part s of an LQG loop is the estimate after the measurement, for a filter that is informed of the inputs that
@@ -20,7 +19,7 @@ Source: vanloan1978, nilsson1998
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,6 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.registers import Pieces
-from taciturn.lqg.sampling import Sampled, sample
 from taciturn.model.controller import Controller
 from taciturn.model.delay import WHOLE
 
@@ -53,17 +51,6 @@ class Periods(Displayed):
     inputs: int
     noise: Array  # covariance of the noise in s⁺, (s, s)
     unseen: float  # cost per step that depends on no input
-
-
-def sampled_periods(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, period: float
-) -> Periods:
-    """Return the periods of a continuous-time plant; all weights and the noise intensity are per unit of time."""
-    given = Quadratic.checked(A, B, Q, R, N)
-    W = _arrays.semidefinite("W", W, len(given.A), "states × states")
-    move = _Held(given, W, _arrays.number("period", period, 0.0))
-    whole = move.piece(())
-    return Periods(move, given.B.shape[1], whole.W, whole.noise_cost)
 
 
 def periods_of(problem: Discrete, pieces: Pieces | None) -> Periods:
@@ -96,32 +83,6 @@ def with_controller(plant: Periods, controller: Controller, C: Array, V: Array) 
         [np.zeros((plant.inputs, len(plant.noise))), controller.D, controller.C, np.zeros((plant.inputs,) * 2)]
     )
     return Periods(_Controlled(plant, controller, C), plant.inputs, noise, plant.unseen), K
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Held(Displayed):
-    """The periods of a sampled plant, each sampled with the input that acts in each of its pieces."""
-
-    given: Quadratic
-    W: Array
-    period: float
-    _kept: dict[tuple[float, ...], Sampled] = field(default_factory=dict[tuple[float, ...], Sampled])
-
-    def piece(self, fractions: tuple[float, ...]) -> Sampled:
-        """Return the sampled period in which the input changes at the given fractions."""
-        if fractions not in self._kept:
-            cuts = (0.0, *(one for one in fractions if one > 0.0))
-            self._kept[fractions] = sample(*self.given, self.W, self.period, cuts=cuts)
-        return self._kept[fractions]
-
-    def __call__(self, fractions: tuple[float, ...]) -> Period:
-        """Return the period in which the input changes at the given fractions of it."""
-        found, m = self.piece(fractions), self.given.B.shape[1]
-        A, B, Q, R, N = found.quadratic
-        if fractions[:1] == (0.0,):  # the input before the first change does not act
-            B, N = (np.hstack([np.zeros((len(A), m)), part]) for part in (B, N))
-            R = block_diagonal(np.zeros((m, m)), R)
-        return Period(np.hstack([A, B]), symmetrised(np.block([[Q, N], [N.T, R]])))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

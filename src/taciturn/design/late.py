@@ -68,7 +68,7 @@ from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.transport import with_transport
 from taciturn.model.trigger import Form
 
-MOST_HISTORIES = 256  # of a step that is not acknowledged yet
+MOST_HISTORIES = 256  # outcomes of a step that is not acknowledged yet
 LEAST_NOISE = 1e-12  # share of an output's error in all of them, below which it counts as none
 
 
@@ -256,8 +256,8 @@ class _ActuatorSteps(FlightSteps):
         if len(ways) > MOST_HISTORIES:
             raise ProblemError(
                 f"{nodes.late_by_one} is 1, and packets that arrive up to {number_of(self.depth, 'period')} late have "
-                f"{len(ways)} histories of a step; expected at most {MOST_HISTORIES}: shorter delays, a buffer, or "
-                "acknowledgements before the next step"
+                f"{number_of(len(ways), 'outcome')} of a step; expected at most {MOST_HISTORIES}: shorter delays, a "
+                "buffer, or acknowledgements before the next step"
             )
         most = 2 * self.price + found.cost + 1  # above the price in any case
         return Histories(tuple(ways), plant.A, plant.C, steady.gain, precision, known, most)

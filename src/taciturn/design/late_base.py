@@ -78,7 +78,7 @@ class ClosedBase(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LateBase(Displayed):
-    """What determines the loop that sends every sample."""
+    """The plant, the control and the network that determine the loop that sends every sample."""
 
     kind: str
     plant: Plant | ContinuousPlant  # without delays
@@ -240,11 +240,11 @@ class PeriodicPackets(Displayed):
 
 
 def _expect_uninformed(nodes: Receivers, given: GivenLoop | None, states: int) -> None:
-    """Raise an error if the control needs to know which inputs act, or which state a link has, before it is told."""
+    """Raise an error if the control needs to know which inputs act, or which state a link has, before it learns it."""
     refused = {
-        "and LQG predicts with the inputs that act, which it is not told in time; expected a given controller without "
+        "and LQG predicts with the inputs that act, which it learns too late; expected a given controller without "
         "controller.E": given is None,
-        "and the controller reads the applied input (controller.E), which it is not told in time; expected E = 0": (
+        "and the controller reads the applied input (controller.E), which it learns too late; expected E = 0": (
             given is not None and bool(given.controller.E.any())
         ),
         "and the state of a link with bursts is unknown; expected independent losses and delays": states > 1,

@@ -1,4 +1,4 @@
-"""What a controller believes about packets on their way, as functions of policy steps.
+"""Probabilities of packets on their way, which their sender computes as functions of policy steps.
 
 * ``LateBelief``: delays and losses come in bursts, and nobody knows the state of the link. The probabilities b of the
   modes follow from the arrivals that are acknowledged, b⁺_J ∝ Σ_I b_I Σ_o q_o over the outcomes o of a step that lead

@@ -1,6 +1,6 @@
 """Packets in flight, as policy steps of their sender: which ones there are, what acts, and what silence costs.
 
-A sender that is told the time of arrival of its packets (``Acted``) follows them by flags, one for each packet that may
+A sender that learns the time of arrival of its packets (``Acted``) follows them by flags, one for each packet that may
 still be in flight, or if the state of a link is unknown by the probabilities of all modes (``LateBelief``). From these
 follow the values that act in each piece of a period, and the cost E[z'Ψ_I^a z] + ψ_I^a of sending only on a set a of
 links (``base/late``), which the decision compares with the share of the price of a packet on every link.
@@ -159,8 +159,8 @@ class FlightSteps(Displayed):
         if (len(nodes.sets) - 1) << len(flags) > MOST_FORMS:
             raise ProblemError(
                 f"packets that arrive up to {number_of(self.depth, 'period')} late, over "
-                f"{number_of(len(nodes.links), 'link')}, have {2 ** len(flags)} sets of packets in flight and "
-                f"{len(nodes.sets)} sets of links to choose from; expected at most {MOST_FORMS} combinations: shorter "
+                f"{number_of(len(nodes.links), 'link')}, have {number_of(2 ** len(flags), 'set')} of packets in flight and "
+                f"{number_of(len(nodes.sets), 'set')} of links to choose from; expected at most {MOST_FORMS} combinations: shorter "
                 "delays, a buffer, or fewer links"
             )
         for sent in nodes.sets[:-1]:

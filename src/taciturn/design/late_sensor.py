@@ -1,10 +1,10 @@
 """The rule "send when not sending costs more" over a sensor's link whose packets arrive after random delays.
 
 The base sends every measurement. The controller hears packets at the beginning of its steps, uses the newest one that
-it has, and holds it: u = C x_c + D ŷ. Each packet is acknowledged with the step in which it was heard, so that at its
+it has, and holds it: u = C x_c + D ŷ. Each packet is acknowledged with the step that uses it, so that at its
 next decision the sensor knows ŷ, and with it the state of the controller and the input. So the theory of late inputs
 (``base/late``) holds with the measurement in place of the input: z = (x, x_c, y, y_{k−1}, …, y_{k−D}, ŷ), and a packet
-is sent iff E[z'Ψ_I z] exceeds the price δ. The sensor's filter is told the inputs, so its estimate gives this mean.
+is sent iff E[z'Ψ_I z] exceeds the price δ. The sensor's filter knows the inputs, so its estimate gives this mean.
 
 Without a given controller, the controller is LQG with an observer that takes each ŷ for the present measurement.
 
@@ -46,7 +46,7 @@ LINK, KNOWN, USED = "sensor", "known", "used"
 
 
 def tells_sensor(network: Network) -> bool:
-    """Return whether packets of the sensor have random delays, and acknowledgements state when they were heard."""
+    """Return whether packets of the sensor have random delays, and acknowledgements state the step that uses them."""
     return LINK in network.late and network.acknowledges(LINK)
 
 

@@ -180,7 +180,7 @@ class DelayLaw(Displayed):
         return replace(self, waits=tuple(found.tolist()), odds=rows, sequence=sequence)
 
     def at_steps(self) -> DelayLaw:
-        """Return the law, in periods, of the steps in which packets are heard by a node that works once per step."""
+        """Return the law, in periods, of the steps in which a node that works once per step takes up packets."""
         return self._with(np.ceil(np.array(self.waits) - WHOLE))
 
     def in_periods(self, period: float) -> DelayLaw:

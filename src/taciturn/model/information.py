@@ -175,9 +175,10 @@ def links_of(policy: Policy) -> tuple[str, ...]:
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
-    """Return whether the network acknowledges packets, but the policy does not use the acknowledgements."""
+    """Return whether the network acknowledges packets that may be lost or late, but the policy does not use this."""
     told = any(isinstance(on, Acknowledged | Acted) for on in _conditions(policy))
-    return any(network.acknowledges(link) for link in network.links) and not told
+    unsure = [link for link in network.links if network.loss(link) > 0 or link in network.late]
+    return any(map(network.acknowledges, unsure)) and not told
 
 
 def _conditions(policy: Policy) -> list[Condition | None]:
