@@ -157,11 +157,11 @@ class FlightSteps(Displayed):
         """Return the steps of links with one state: a flag for each packet says whether it is in flight."""
         found, nodes, flags, before = self.found, self.nodes, self.flags(), list[Step]()
         if (len(nodes.sets) - 1) << len(flags) > MOST_FORMS:
+            flying, choices = number_of(2 ** len(flags), "set"), number_of(len(nodes.sets), "set")
             raise ProblemError(
                 f"packets that arrive up to {number_of(self.depth, 'period')} late, over "
-                f"{number_of(len(nodes.links), 'link')}, have {number_of(2 ** len(flags), 'set')} of packets in flight and "
-                f"{number_of(len(nodes.sets), 'set')} of links to choose from; expected at most {MOST_FORMS} combinations: shorter "
-                "delays, a buffer, or fewer links"
+                f"{number_of(len(nodes.links), 'link')}, have {flying} of packets in flight and {choices} of links to "
+                f"choose from; expected at most {MOST_FORMS} combinations: shorter delays, a buffer, or fewer links"
             )
         for sent in nodes.sets[:-1]:
             Psi, psi = (values[nodes.sent(sent)] for values in (found.Psi, found.psi))
