@@ -205,6 +205,7 @@ class _Knowledge:
         self.home: dict[str, Site] = {name: policy.site(node) for name, (node, _) in policy.measured.items()}
         self.decided: dict[str, Site] = {}
         self.packets: dict[str, tuple[Site, tuple[str, ...]]] = {}
+        self.sent = set[str]()  # links on which a packet has been sent by the step that is checked
         for step in policy.steps:
             site = policy.site(step.at)
             if isinstance(step, Decide):
@@ -220,6 +221,8 @@ class _Knowledge:
 
     def check(self, step: Step) -> None:
         """Check that the node of a policy step has all signals and conditions that the step uses."""
+        if isinstance(step, Send):
+            self.sent.add(step.link)
         if isinstance(step, Draw):
             return
         on = None if isinstance(step, Apply | Decide) else step.on
@@ -249,6 +252,11 @@ class _Knowledge:
                 raise InformationError(
                     f"the node {at} uses an acknowledgement of the {condition.link} link; expected a link on which it "
                     "sends"
+                )
+            if isinstance(condition, Acted) and condition.link not in self.sent:
+                raise InformationError(
+                    f"the node {at} uses the times of arrival on the {condition.link} link before it sends, but no node "
+                    "knows a delay in advance; expected this after its packet, at the end of the step"
                 )
             if self.network.links[condition.link].acknowledged is False:
                 key = self.network.key(condition.link, "acknowledged")
