@@ -110,6 +110,7 @@ SAMPLES: Mapping[str, Add] = {
     "sensor at random times": of_link("sensor", delay=DRAWN),
     "probes at random times": of_nodes("probe", {"delay": DRAWN}),
     "acknowledged probes at random times": of_nodes("probe", {"delay": [0.6, 0.3], "acknowledged": True}),
+    "acknowledged samples at random times": of_network("sensor", delay=[0.6, 0.3], protocol="tcp"),
     "probes too late": of_nodes("probe", {"delay": DRAWN, "buffer": 1, "acknowledged": True}),
 }
 INPUTS: Mapping[str, Add] = {
@@ -127,6 +128,15 @@ INPUTS: Mapping[str, Add] = {
     "inputs at random parts": of_network("actuator", delay=IN_PARTS),
     "acknowledged inputs at random times": of_network("actuator", delay=DRAWN, protocol="tcp"),
     "acknowledged inputs at random parts": of_network("actuator", delay=IN_SECONDS, protocol="tcp"),
+    "inputs told late": of_network("actuator", delay=DRAWN, protocol="tcp", acknowledgement_delay=1),
+    "losses told late": of_network("actuator", loss=0.1, protocol="tcp", acknowledgement_delay=1),
+    "acknowledged sets of valves": of_nodes(
+        "valve", {"delay": [0.6, 0.3], "acknowledged": True}, {"loss": 0.1, "acknowledged": True}
+    ),
+    "late sets of valves": of_nodes("valve", {"delay": IN_SECONDS, "acknowledged": True}, {"price": 2.0}),
+    "sets of valves told late": of_nodes(
+        "valve", {"delay": [0.6, 0.3], "acknowledged": True, "acknowledgement_delay": 1}
+    ),
     "inputs late in bursts": in_bursts,
     "inputs by a trace": of_file("trace"),
     "inputs by a histogram": of_file("histogram"),
@@ -138,6 +148,6 @@ INPUTS: Mapping[str, Add] = {
 RANDOM_INPUTS = (
     "inputs at random times", "inputs at random parts", "acknowledged inputs at random times",
     "acknowledged inputs at random parts", "inputs late in bursts", "inputs by a trace", "inputs by a histogram",
-    "actuator at random times",
+    "actuator at random times", "inputs told late", "losses told late",
 )  # fmt: skip
 """Features of random delays of the only input link, which few kinds accept."""

@@ -36,6 +36,7 @@ from everything.plain import (
 from scipy.linalg import expm
 
 Tables = Mapping[str, Any]
+TOLD_LATE = "actuator_acknowledgement_delay"
 Packet = tuple[int, int]  # piece of the path in which it arrives, and step in which it was sent
 
 
@@ -64,6 +65,9 @@ def random_inputs(tables: Tables, folder: Path) -> RandomInputs | None:
     Raises:
         NotModelledError: decisions know of them or of losses, they are from a trace, or other links are late too.
     """
+    laws = [*tables.get("links", {}).values(), {"acknowledgement_delay": tables.get("network", {}).get(TOLD_LATE, 0)}]
+    if any(law.get("acknowledgement_delay") for law in laws):
+        raise NotModelledError("acknowledgements that come one step late")
     found = {name: law for name, law in _delays(tables).items() if _drawn(law)}
     if not found:
         return None

@@ -124,6 +124,7 @@ REQUIRED: Mapping[str, str] = {
     "valves at random times": "link valve", "acknowledged valves at random times": "link valve",
     "samples at random times": "controlled", "sensor at random times": "controlled",
     "late valves": "link valve", "valves too late": "link valve",
+    "inputs told late": "controller", "losses told late": "controller", "sets of valves told late": "controller",
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
     "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
@@ -145,6 +146,11 @@ PARTNERS: Mapping[str, tuple[str, ...]] = {
     "probes at random times": ("gain",), "acknowledged probes at random times": ("gain",),
     "inputs at random parts": ("continuous",), "acknowledged inputs at random parts": ("continuous",),
     "inputs by a trace": ("continuous",), "inputs by a histogram": ("continuous",),
+    "acknowledged sets of valves": ("two inputs", "actuators of a wired sensor"),
+    "late sets of valves": ("continuous", "two inputs", "actuators of a wired sensor"),
+    "sets of valves told late": ("two inputs", "actuators of a wired sensor", "linear controller"),
+    "acknowledged samples at random times": ("sensor decides",),
+    "inputs told late": ("linear controller",), "losses told late": ("linear controller",),
     "probes late by a part": ("continuous", "two outputs", "two sensors"),
     "valves late by a part": ("continuous", "two inputs", "two actuators"),
 }  # fmt: skip
@@ -162,6 +168,8 @@ KINDS_FOR: Mapping[str, tuple[str, ...]] = {
     "samples at random times": ("distributed",), "sensor at random times": ("distributed",),
     "probes at random times": ("distributed",), "acknowledged probes at random times": ("distributed",),
     "valves at random times": ("distributed",), "acknowledged valves at random times": ("distributed",),
+    "acknowledged sets of valves": ("excess",), "late sets of valves": ("excess",),
+    "sets of valves told late": ("excess",), "acknowledged samples at random times": ("excess",),
     **dict.fromkeys(RANDOM_INPUTS, ("excess", "excess", "distributed", "all-time", "periodic")),
     "probes too late": ("distributed",), "valves too late": ("distributed",),
     "proportional and integral": ("excess", "send-on-delta", "distributed", "all-time", "periodic"),
