@@ -151,7 +151,7 @@ def test_the_dearer_packet_is_sent_less() -> None:
         (
             "excess",
             {"theta": 0.1},
-            {"v0": LinkLaw(loss=0.1, acknowledged=True)},
+            {"v0": LinkLaw(loss=0.1)},
             "links.v0.loss is 0.1, but the controller of the policy kind excess chooses among sets of the links v0, v1",
         ),
         (

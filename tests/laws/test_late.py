@@ -550,7 +550,7 @@ def test_a_base_is_refused_that_has_no_value() -> None:
     wide = discrete_periods(0.5 * np.eye(70), np.eye(70, 1), np.eye(70), ONE, np.zeros((70, 1)), np.eye(70))
     with pytest.raises(ProblemError, match=r"72 states together, in 2 modes, too many"):
         late_value(chain_of(wide, np.zeros((1, 71)), Delays.of([0, 1], [0.5, 0.5])), "")
-    some = discrete_periods(0.5 * np.eye(20), np.eye(20, 1), np.eye(20), ONE, np.zeros((20, 1)), np.eye(20))
+    some = discrete_periods(0.5 * np.eye(26), np.eye(26, 1), np.eye(26), ONE, np.zeros((26, 1)), np.eye(26))
     with pytest.raises(ProblemError, match="fourth moments, with packets of up to 1 period"):
-        fourth_growth(late_value(chain_of(some, np.zeros((1, 21)), Delays.of([0, 1], [0.5, 0.5])), ""))
+        fourth_growth(late_value(chain_of(some, np.zeros((1, 27)), Delays.of([0, 1], [0.5, 0.5])), ""))
     assert late.MOST_MODES == 2**9

@@ -48,7 +48,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, pushed, symmetrised
+from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import growth, normal_moments
 from taciturn._progress import check_time
@@ -326,7 +326,7 @@ def _expect_few(modes: Sequence[Mode], size: int, depth: int) -> None:
         raise ProblemError(
             f"packets that arrive up to {number_of(depth, 'period')} late are in flight in more than {most} different "
             f"sets, with a value function of {number_of(size, 'state')} for each; expected delays of fewer periods: "
-            "count later packets as dropped, which a receiver may do too, or choose a longer period"
+            "a shorter buffer, count later packets as dropped, which a receiver may do too, or choose a longer period"
         )
 
 
@@ -461,9 +461,9 @@ def _closed_value(chain: Chain, remedy: str) -> tuple[Array, float]:
     shown, kept = without_hidden([[[(one.chance, one.F, one.M) for _, one in taken]]])
     c, size = len(place), kept.shape[1]
     jumps = [(i, place[one.after], p, F) for (i, one), (p, F, _) in zip(taken, shown[0][0], strict=True)]
-    grows = _growth(jumps, [size] * c, 2)
+    grows = _growth(jumps, [np.eye(size)] * c)
     whole = [(i, place[one.after], one.chance, one.F) for i, one in taken]
-    hidden = _growth(whole, [len(kept)] * c, 2) if size < len(kept) else grows
+    hidden = _growth(whole, [np.eye(len(kept))] * c) if size < len(kept) else grows
     if not grows < 1 or hidden > 1 + _UNSEEN_GROWTH:
         raise _unstable(chain, max(grows, hidden), remedy)
     step, value = _operator([(*jump, M) for jump, (_, _, M) in zip(jumps, shown[0][0], strict=True)], c, size, depth)
@@ -646,22 +646,34 @@ def _unstable(chain: Chain, grows: float, remedy: str) -> UnstableError:
     )
 
 
-def _growth(jumps: Sequence[tuple[int, int, float, Array]], sizes: Sequence[int], order: int) -> float:
-    """Return the growth factor per step of moments of an even order, for jumps (from, to, probability, F)."""
-    ends = np.cumsum([size**order for size in sizes])
-    begins = ends - [size**order for size in sizes]
+def _growth(jumps: Sequence[tuple[int, int, float, Array]], starts: Sequence[Array]) -> float:
+    """Return the growth factor per step of second moments, for jumps (from, to, probability, F)."""
+    sizes = [len(start) for start in starts]
+    ends = np.cumsum([size**2 for size in sizes])
+    begins = ends - [size**2 for size in sizes]
     if not ends[-1]:  # the cost depends on no state
         return 0.0
+    pairs = defaultdict[tuple[int, int], list[tuple[float, Array]]](list)
+    for i, j, chance, F in jumps:
+        pairs[i, j].append((chance, F))
+    stacked = {pair: (np.array([p for p, _ in one]), np.array([F for _, F in one])) for pair, one in pairs.items()}
 
     def moved(moments: Array) -> Array:
         check_time()
         after = np.zeros(moments.shape)
-        for i, j, chance, F in jumps:
-            own = moments[begins[i] : ends[i]].reshape([sizes[i]] * order)
-            after[begins[j] : ends[j]] += chance * pushed(F, own, order).ravel()
+        for (i, j), (chances, F) in stacked.items():
+            own = moments[begins[i] : ends[i]].reshape(sizes[i], sizes[i])
+            after[begins[j] : ends[j]] += np.tensordot(chances, F @ own @ F.swapaxes(1, 2), 1).ravel()
         return after
 
-    return growth(moved, np.concatenate([normal_moments(size, order).ravel() for size in sizes]))
+    return growth(moved, np.concatenate([start.ravel() for start in starts]))
+
+
+def _squared(F: Array) -> Array:
+    """Return the matrix that maps the products x_a x_b, a ≤ b, to those of F x."""
+    (a, b), (c, d) = np.triu_indices(F.shape[0]), np.triu_indices(F.shape[1])
+    one, other = F[a][:, c] * F[b][:, d], F[a][:, d] * F[b][:, c]
+    return one + np.where(c == d, 0.0, other)
 
 
 def fourth_growth(value: LateValue) -> float:
@@ -675,19 +687,25 @@ def fourth_growth(value: LateValue) -> float:
         sizes, vectors = np.linalg.eigh(value.P[i])
         bases.append(vectors[:, sizes > SEEN * largest])
     dimensions = [basis.shape[1] for basis in bases]
-    if sum(size**4 for size in dimensions) > MOST_MOMENTS:
+    count = sum((size * (size + 1) // 2) ** 2 for size in dimensions)
+    if count > MOST_MOMENTS:
         raise ProblemError(
-            f"the loop has {sum(size**4 for size in dimensions)} fourth moments, with packets of up to "
-            f"{number_of(chain.delays.depth, 'period')}; expected at most {MOST_MOMENTS}: fewer states, or delays of "
-            "fewer periods"
+            f"the loop has {count} fourth moments, with packets of up to {number_of(chain.delays.depth, 'period')}; "
+            f"expected at most {MOST_MOMENTS}: fewer states, or delays of fewer periods"
         )
     place = {mode: i for i, mode in enumerate(chain.closed)}
     jumps = [
-        (place[i], place[one.after], one.chance, bases[place[one.after]].T @ one.F @ bases[place[i]])
+        (place[i], place[one.after], one.chance, _squared(bases[place[one.after]].T @ one.F @ bases[place[i]]))
         for i in chain.closed
         for one in chain.outcomes[chain.every][i]
     ]
-    return _growth(jumps, dimensions, 4)
+    # the fourth moments of x are the second ones of its products
+    starts = list[Array]()
+    for size in dimensions:
+        a, b = np.triu_indices(size)
+        moments = normal_moments(size, 4).reshape([size] * 4)
+        starts.append(moments[a[:, None], b[:, None], a, b])
+    return _growth(jumps, starts)
 
 
 class History(NamedTuple):

@@ -497,7 +497,7 @@ def _every_sample(problem: Problem, kept: AnyController) -> float | None:
     if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None or problem.plant.loads:
         return None
     network = problem.network
-    if network.missing or any(map(network.loss, network.links)):
+    if network.missing or network.late or any(map(network.loss, network.links)):
         return None
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:
