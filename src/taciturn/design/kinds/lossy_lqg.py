@@ -12,15 +12,19 @@ Source: khashooei2017, schenato2007
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
 from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
+from taciturn.design.late_filter import begin_late, fuse_late, keep_effects, rolled_forward
 from taciturn.errors import PlacementError, ProblemError
 from taciturn.lqg.critical_losses import Channel, MeanSquare
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.late_samples import LateSamples, regulate_late, regulate_late_finite
 from taciturn.lqg.lossy import (
     LossyRegulator,
     loss_sentence,
@@ -31,6 +35,8 @@ from taciturn.lqg.lossy import (
 from taciturn.lqg.quadratic import Quadratic, worth_of
 from taciturn.lqg.riccati import refuse_uncertain
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY, LATE
+from taciturn.model.delay import DelayLaw
 from taciturn.model.disturbance import Reference, Tracking
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -96,42 +102,52 @@ def lossy_lqg(
     instance("plant", plant, Plant, ContinuousPlant)
     if reference is not None:
         instance("reference", reference, Reference)
-    plant = refuse_what_is_not_covered(plant, cost)
+    links = network or IDEAL
+    plant = refuse_what_is_not_covered(plant, cost, links)
     reference = None if reference is None else reference.relative_to(plant)
     if reference is not None and cost.horizon is None:
         raise ProblemError(
             "a reference trajectory is given without cost.horizon; expected cost.horizon as well, because the "
             "trajectory is finite"
         )
-    links = network or IDEAL
     network = links.without_bursts()
-    channel = Channel(
+    late, channel = network.random_delay("sensor", 1.0), Channel(
         network.loss("actuator"),
         network.loss("sensor"),
         network.acknowledges("actuator"),
         network.delay == 1,
         (network.key("actuator", "loss"), network.key("sensor", "loss")),
     )
+    samples = None if late is None else LateSamples.of(channel, _arriving(late))
+    channel = channel if samples is None else samples.channel
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
     seen = worth_of(Quadratic(plant.A, plant.B, cost.Q, cost.R, cost.N)).states
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
-        gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
+        given = plant.A, plant.B, cost.Q, cost.R
+        gains = regulate_lossy(*given, channel) if samples is None else regulate_late(*given, samples)
+        step = MeanSquare(A, B, gains.L[:, seen], channel)
+        rate = step.growth() if samples is None else samples.growth(A, B, gains.L[:, seen])
         # the gain is proved to be stabilising, also if the computed rate is 1
-        rate = min(MeanSquare(A, B, gains.L[:, seen], channel).growth(), CLOSEST)
+        rate = min(rate, CLOSEST)
         settling = 1 / (1 - np.sqrt(rate))
         ticks = 1
     else:
         assert cost.terminal is not None
-        gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
+        mission = plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon
+        gains = (
+            regulate_lossy_finite(*mission, channel) if samples is None else regulate_late_finite(*mission, samples)
+        )
         if reference is not None:
             reference.check(plant, cost.horizon)
-        if no_gain_survives(A, B, channel):
+        if samples is None and no_gain_survives(A, B, channel):
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
-    cost_all_time = _cost_all_time(plant, gains, channel, reference)
-    refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
+    cost_all_time = None
+    if plant.full_state:
+        cost_all_time = _cost_all_time(plant, gains, channel, reference)
+        refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
     silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     policy = Policy(
@@ -142,7 +158,7 @@ def lossy_lqg(
             cost=cost,
             cost_all_time=cost_all_time,
             settling=float(settling),
-            guarantee=Guarantee(
+            guarantee=None if cost_all_time is None else Guarantee(
                 cost_all_time + price * ticks,
                 f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
                 "khashooei2017",
@@ -150,10 +166,11 @@ def lossy_lqg(
                 price * ticks,
                 more_sends=True,
             ),
-            identity=Identity(cost_all_time, (silent, Form()), SEND),
+            identity=None if cost_all_time is None else Identity(cost_all_time, (silent, Form()), SEND),
+            covers=GAUSSIAN_THEORY | LATE if network.late == ("sensor",) else GAUSSIAN_THEORY,
         ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
-        initial={"prior": plant.mean},
+        initial={"prior": plant.mean} if plant.full_state else begin_late(plant),
         network=links,
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
@@ -161,19 +178,33 @@ def lossy_lqg(
     return within_limits(policy)
 
 
-def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
-    """Raise an error if the design for lossy links does not support the plant or the cost; return the plant."""
+def _arriving(law: DelayLaw) -> list[float]:
+    """Return the probabilities that a packet has a delay of 0, 1, … steps; it is used at the next step."""
+    shares = law.arriving()
+    found = np.zeros(ceil(law.waits[-1]) + 1)
+    for wait, share in zip(law.waits, shares.tolist(), strict=True):
+        found[ceil(wait)] += share
+    return found.tolist()
+
+
+def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, network: Network | None = None) -> Plant:
+    """Raise an error if the design for lossy links does not support the plant or the cost; return the plant.
+
+    With a network, noisy outputs are allowed if the controller knows which inputs were applied.
+    """
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
-    if not plant.full_state:
+    if network is not None and network.late and network.delay:
         raise ProblemError(
-            "C or V is given, but the policy kind lossy-lqg measures the full state; expected neither C nor V: remove "
-            "them"
+            f"network.delay is {network.delay}, and {network.lateness(network.late[0])}; expected network.delay = 0: "
+            "add the step to the delays of the sensor link"
         )
+    if not plant.full_state:
+        _expect_known_inputs(plant, network)
     if cost.N.any():
         raise ProblemError(
             "cost.N is not zero, which the policy kind lossy-lqg does not support; expected no cross weight: remove it"
@@ -191,6 +222,22 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
     return discretise(plant, cost, None).plant
 
 
+def _expect_known_inputs(plant: Plant, network: Network | None) -> None:
+    """Raise an error unless the controller may have a filter, which must know the applied inputs."""
+    told = "C or V is given, but the policy kind lossy-lqg measures the full state"
+    if network is None:
+        raise ProblemError(f"{told}; expected neither C nor V: remove them")
+    if network.loss("actuator") and not network.acknowledges("actuator"):
+        raise ProblemError(
+            f"{told} unless its filter knows which inputs were applied, and {network.lost('actuator')} is "
+            f"{network.loss('actuator'):g} without acknowledgements; expected acknowledgements (protocol = 'tcp'), no "
+            "losses of inputs, or neither C nor V"
+        )
+    for wrong, why in ((network.delay, "network.delay is 1"), (plant.saturation is not None, "inputs have limits")):
+        if wrong:
+            raise ProblemError(f"{told}, and {why}; expected no C and V, or a network without delay and no limits")
+
+
 def _cost_all_time(plant: Plant, gains: LossyRegulator, channel: Channel, reference: Reference | None) -> float:
     """Return z_0'K_0z_0 + tr((K_0 + φP_0)Θ) + Σ tr((K_{i+1} + φP_{i+1})W) with mean z_0; or the average of the sum."""
     F = gains.K + channel.exposure * gains.P  # weight of a new estimation error
@@ -204,7 +251,7 @@ def _cost_all_time(plant: Plant, gains: LossyRegulator, channel: Channel, refere
 def _steps(
     plant: Plant, network: Network, L: Matrix, trigger: Trigger, reference: Reference | None
 ) -> tuple[Step, ...]:
-    n, m = np.eye(plant.states), np.eye(plant.inputs)
+    n, m, late = np.eye(plant.states), np.eye(plant.inputs), network.longest("sensor", 1.0)
     acknowledged = network.acknowledges("actuator")
     subject = ESTIMATE if reference is None else OFF_REFERENCE
     deviate: tuple[Step, ...] = ()
@@ -224,9 +271,10 @@ def _steps(
             Assign("actuator", "input", ({FEEDFORWARD: m}, {FEEDFORWARD: m, "command": m}), Received("actuator")),
         )
         silent, sent = {**silent, "push": n}, {**sent, "push": n}
+    sample, heard = Send("sensor", "sensor", ("y",)), Received("sensor", late or None)
     watch: tuple[Step, ...] = (
-        Send("sensor", "sensor", ("y",)),
-        Assign("controller", "seen", ({"prior": n}, {"y": n}), Received("sensor")),
+        sample,
+        Assign("controller", "seen", ({"prior": n}, *rolled_forward(plant.A, "y", late)), heard),
     )
     act: tuple[Step, ...] = (
         *deviate,
@@ -242,9 +290,19 @@ def _steps(
     else:
         order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
     known = Acknowledged("actuator") if acknowledged else SEND
+    if plant.saturation is not None and late:
+        raise ProblemError(
+            f"{network.lateness('sensor')}, and the inputs have limits (input_limit, input_rate), so that the "
+            f"controller would not know which inputs were applied; expected a constant delay, "
+            f"{network.key('sensor', 'buffer')}, or inputs without limits"
+        )
     if plant.saturation is not None:
         return (*order, *_limited(plant, network, reference, "seen" if network.delay else ESTIMATE, known))
-    return (*order, Assign("controller", "prior", (silent, sent), known))
+    moved = Assign("controller", "prior", (silent, sent), known)
+    if not plant.full_state:
+        fused = fuse_late(plant, "sensor", late, network.key("sensor", "delay"))
+        return (sample, *fused, *act, *keep_effects(moved, ESTIMATE, late + 1))
+    return (*order, moved, *(keep_effects(moved, ESTIMATE, late) if late else ()))
 
 
 def _limited(
