@@ -7,7 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runtime.late import WITHIN, delays, differing_steps, inputs_of, nodes_of, pendulum, record, sets, told_late
+from runtime.late import (
+    STATES,
+    WITHIN,
+    delays,
+    differing_steps,
+    inputs_of,
+    late_sensor,
+    nodes_of,
+    pendulum,
+    record,
+    sets,
+    told_late,
+)
 from runtime.loops import column
 
 import taciturn
@@ -76,6 +88,9 @@ def loops() -> dict[str, Callable[[], Loop]]:
         problem = taciturn.load("quadruple-tank").changed(changes)
         return problem.close(problem.design())
 
+    def measured_late(**changes: object) -> Loop:
+        return closed(late_sensor(**changes))
+
     early, late = {"delay": {"seconds": [0.5, 1.5], "probability": [0.5, 0.4]}}, {"seconds": 1.2}
     return {
         "acknowledged": acknowledged,
@@ -99,6 +114,16 @@ def loops() -> dict[str, Callable[[], Loop]]:
         "predicted by a controller": lambda: heard({}),
         "predicted by a controller at an operating point": lambda: heard(
             {"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}, "network.payload": "float32"}
+        ),
+        "late states": lambda: measured_late(**STATES),
+        "late states, inputs lost unnoticed": lambda: measured_late(**STATES, **{"network.protocol": "udp"}),
+        "late measurements, fused": measured_late,
+        "late measurements, fused and rounded": lambda: measured_late(**{"network.payload": "float32"}),
+        "late measurements, fused at an operating point": lambda: measured_late(
+            **{"plant.operating_point": {"x": [2.9, -1.0], "u": [-0.3]}}
+        ),
+        "two sensors at one place, fused": lambda: measured_late(
+            **{"plant.C": [[1.0, 0.0], [0.5, 1.0]], "plant.V": [[0.1, 0.04], [0.04, 0.2]]}
         ),
         "plan": lambda: unheard({"plan": 3}, delay=[0.3, 0.1, 0.1, 0.1, 0.3]),
         "plan, within periods": lambda: unheard({"plan": 1}, delay=WITHIN),

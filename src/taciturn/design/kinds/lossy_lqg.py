@@ -233,6 +233,11 @@ def _expect_known_inputs(plant: Plant, network: Network | None) -> None:
             f"{network.loss('actuator'):g} without acknowledgements; expected acknowledgements (protocol = 'tcp'), no "
             "losses of inputs, or neither C nor V"
         )
+    if "actuator" in network.late:
+        raise ProblemError(
+            f"{told} unless its filter knows which inputs were applied, and {network.lateness('actuator')}; expected "
+            f"{network.key('actuator', 'buffer')}, or neither C nor V"
+        )
     for wrong, why in ((network.delay, "network.delay is 1"), (plant.saturation is not None, "inputs have limits")):
         if wrong:
             raise ProblemError(f"{told}, and {why}; expected no C and V, or a network without delay and no limits")
@@ -271,7 +276,8 @@ def _steps(
             Assign("actuator", "input", ({FEEDFORWARD: m}, {FEEDFORWARD: m, "command": m}), Received("actuator")),
         )
         silent, sent = {**silent, "push": n}, {**sent, "push": n}
-    sample, heard = Send("sensor", "sensor", ("y",)), Received("sensor", late or None)
+    sample = Send("sensor", "sensor", ("y",))
+    heard = Received("sensor", late if "sensor" in network.late else None)
     watch: tuple[Step, ...] = (
         sample,
         Assign("controller", "seen", ({"prior": n}, *rolled_forward(plant.A, "y", late)), heard),
