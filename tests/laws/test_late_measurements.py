@@ -210,6 +210,7 @@ def test_all_measurements_cost_less_than_the_newest_ones_and_than_the_longest_de
             {"network.protocol": "udp", "network.actuator_loss": 0.0, "network.actuator_delay": [0.5, 0.5]},
             "network.actuator_delay is random",
         ),
+        ({"network.sensor_delay": {"seconds": [0.0, 0.13], "probability": [0.5, 0.5]}}, "in parts of a step, but"),
         ({"plant.V": [[0.0]]}, r"plant.V has the eigenvalue 0"),
         ({"network.sensor_delay": [0.04] * 25}, "keep 50 entries of states; expected at most 48"),
         ({"plant.C": None, "plant.V": None, "plant.input_limit": 1.0}, "the inputs have limits"),
@@ -219,6 +220,13 @@ def test_what_a_filter_of_late_measurements_cannot_do_is_refused_by_name(changes
     """Each refusal names the key, and a remedy."""
     with pytest.raises(ProblemError, match=words):
         late_sensor(**changes).design()
+
+
+def test_a_state_that_no_output_shows_is_refused() -> None:
+    """Its covariance would grow without limit."""
+    hidden = Plant(PLANT.A, PLANT.B, PLANT.W, [[0.0, 1.0]], [[0.1]])
+    with pytest.raises((ProblemError, UnstableError), match="not detectable"):
+        lossy_lqg(hidden, COST, price=0.1, network=late([0.5, 0.5]))
 
 
 def test_random_delays_of_inputs_withdraw_the_claims() -> None:

@@ -11,7 +11,8 @@ so every trigger that bounds this square bounds the cost (``bounds``). ``silence
 ``several_nodes`` that for several sensors and actuators. ``around_controller`` writes the links around any linear
 controller, with the rule of ``dead_bands``, or with a bound on every path (``every_path``). ``prediction`` writes
 policies that predict, and ``at_fixed_steps`` those without a decision. ``late`` decides on packets with random delays,
-relative to the loops of ``late_base``, by what the controller believes of packets on their way (``late_belief``).
+relative to the loops of ``late_base``, by what the controller believes of packets on their way (``late_belief``);
+``late_filter`` fuses late measurements at their own steps.
 ``missing_samples`` changes the gain of the
 filter of any kind. A kind is a file in ``kinds`` that ends with the
 record of the kind (``kind``); ``catalogue`` lists these files and the kinds of other packages. A new kind requires a

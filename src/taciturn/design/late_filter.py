@@ -1,21 +1,21 @@
 """The filter of a controller to which measurements come late, lost and in any order: each is fused at its own step.
 
-A measurement y_{k−j} that arrives in step k tells of the state of step k − j. The controller keeps the last D + 1 steps,
-D the largest delay of a packet in steps: which of their measurements have come, these measurements, and what the inputs
-added to the state. At the step before them it keeps the estimate x̂ and its covariance P, in which all older
-measurements are, that have come or never will. In each step it goes back and rolls forward to the present:
+A measurement y_{k−j} that arrives in step k tells of the state of step k − j. The controller keeps the last D + 1
+steps, D the largest delay of a packet in steps: which of their measurements have come, these measurements, and what the
+inputs added to the state. Of the step before them it keeps the estimate x̂ and its covariance P, in which all older
+measurements that have come are included. In each step it goes back and rolls forward to the present:
 
     x̂⁻_i = A x̂_{i−1} + b_{i−1},   P⁻_i = A P_{i−1} A' + W,   b_i = B u_i,
     if y_i has come:  x̂_i = x̂⁻_i + P⁻_i C'(C P⁻_i C' + V)⁻¹ (y_i − C x̂⁻_i),   otherwise x̂_i = x̂⁻_i.
 
 This is the filter that had waited: the estimate is E[x_k | all measurements that have arrived], with the gains of the
-samples that it has had. After the first step, the estimate of step k − D is the one that is kept, as its measurement
-comes now or never. The entries of a measurement are fused one after the other, T y with the T that makes their noise
+samples that it has had. The estimate of step k − D is then the one that is kept, as its measurement comes now or
+never. The entries of a measurement are fused one after the other, T y with the T that makes their noise
 independent, so that only scalars are divided.
 
 The controller must know what its inputs add to the state: they are applied, or acknowledged. If the whole state is
-measured, the newest measurement says all of the past, and x̂_k = A^j y_{k−j} + Σ_{i=1}^{j} A^{i−1} b_{k−i}; this holds also
-for the mean of inputs that are lost unnoticed.
+measured, the newest measurement says all of the past, and x̂_k = A^j y_{k−j} + Σ_{i=1}^{j} A^{i−1} b_{k−i}; this holds
+also with the mean b of inputs that are lost unnoticed.
 
 Source: schenato2008, sinopoli2004
 """
@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -53,8 +53,8 @@ def fuse_late(plant: Plant, link: str, longest: int, key: str) -> tuple[Step, ..
     if (longest + 1) * n > MOST:
         raise ProblemError(
             f"{key} is up to {longest} steps, and the plant has {n} states, so that the filter of late measurements "
-            f"would keep {(longest + 1) * n} entries of states; expected at most {MOST}: a buffer that drops the latest "
-            "packets, or a plant with fewer states"
+            f"would keep {(longest + 1) * n} entries of states; expected at most {MOST}: a law that counts later "
+            "packets as lost, or a plant with fewer states"
         )
     heard = list[Step]()
     for age in ages:
@@ -148,14 +148,15 @@ class LateFilter(Displayed):
             old = window[(age - 1) * (1 + p) : age * (1 + p)]
             known.append(np.where(flags[age][0] > 0.5, 1.0, old[0]))
             values.append(np.where(flags[age][0] > 0.5, samples[age], old[1:]))
-        x, P, base = past, np.reshape(spread, (n, n)), (past, spread)
+        x: Any = past
+        P: Any = np.reshape(spread, (n, n))
+        base = x, P
         for age in reversed(ages):
             moved = self.A @ x + effects[age * n : (age + 1) * n]
             grown = self.A @ P @ self.A.T + self.W
             lived = begun[age + 1] > 0.5
-            x = np.where(lived, moved, x)
-            P = np.where(lived, (grown + grown.T) / 2, P)
-            x, P = self._corrected(x, P, self.T @ values[age], known[age] > 0.5)
+            ahead: list[Any] = [np.where(lived, moved, x), np.where(lived, (grown + grown.T) / 2, P)]
+            x, P = self._corrected(*ahead, self.T @ values[age], known[age] > 0.5)
             if age == self.longest:
                 base = x, P
         kept: list[Any] = []
@@ -166,10 +167,10 @@ class LateFilter(Displayed):
     def _corrected(self, x: Any, P: Any, y: Any, known: Any) -> tuple[Any, Any]:
         """Return estimate and covariance after the entries of a measurement, if it is known."""
         for i, row in enumerate(self.C):
-            seen = P @ row
-            share = 1.0 / (row @ seen + self.V[i])
-            x = np.where(known, x + seen * (share * (y[i] - row @ x)), x)
-            P = np.where(known, P - share * np.outer(seen, seen), P)
+            seen: Any = P @ row
+            share: Any = 1.0 / (row @ seen + self.V[i])
+            moved: list[Any] = [x + seen * (share * (y[i] - row @ x)), P - share * np.outer(seen, seen)]
+            x, P = (cast("Any", np.where(known, new, old)) for new, old in zip(moved, (x, P), strict=True))
         return x, P
 
 

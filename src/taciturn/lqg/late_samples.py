@@ -11,8 +11,9 @@ With the cost x̂'Γx̂ of silence (``lossy``), an error that is a steps old cos
 
     X_a ← Γ + q_{a+1} A' X_{a+1} A,   X_D ← Γ + q_D A' X_D A,
 
-and what is added in a step costs G = q_0 X_0 from the next step on. So all equations of lossy links hold with G in place
-of φP: M = R + B'(K + αG)B without acknowledgements, and the average cost of attempts in every step is tr((K + G)W).
+and what is added in a step costs G = q_0 X_0 from the next step on. So all equations of lossy links hold with G in
+place of φP: M = R + B'(K + αG)B without acknowledgements, and the average cost of attempts in every step is
+tr((K + G)W).
 
 With acknowledgements, or without losses of inputs, K does not depend on G, and X_D is the weight P of a link that drops
 measurements with the probability q_D, which is proved. Otherwise, the recursion is repeated from there to its limit.

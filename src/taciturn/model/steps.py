@@ -39,8 +39,8 @@ class Received(Displayed):
     With ``oldest``, the outcomes are the ages of the newest packet that arrives: none, sent in this step, sent one step
     ago, …, sent ``oldest`` steps ago. The signals of the packet have the values with which it was sent.
 
-    With ``of_age``, the condition is that the packet of this age arrives in this step, even if a newer one has arrived: on
-    such a link, the receiver uses all packets, and newer ones overtake none.
+    With ``of_age``, the condition is that the packet of this age arrives in this step, even if a newer one has arrived:
+    on such a link, the receiver uses all packets, and newer ones overtake none.
     """
 
     link: str

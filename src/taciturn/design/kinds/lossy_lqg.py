@@ -7,12 +7,14 @@ every step. The trigger sends iff x̂'Γx̂ exceeds the price λ of an attempt; 
 The gains are in ``lqg/lossy``. Without acknowledgement the estimator does not know whether the input was applied: it
 predicts with the mean, and the gains weigh the error of this.
 
+Measurements may be late at random. The controller then moves the newest state to the present, with the gains and the
+cost of ``lqg/late_samples``, for which the same theorem holds. With noisy outputs, a filter fuses all measurements
+(``design/late_filter``), if it knows the inputs; the mean of its covariance has no closed form, so there is no J_all.
+
 Source: khashooei2017, schenato2007
 """
 
 from __future__ import annotations
-
-from math import ceil
 
 import numpy as np
 
@@ -60,7 +62,7 @@ def lossy_lqg(
 ) -> Policy:
     """Design LQG control over lossy links that sends an input when silence would cost more than the price of a send.
 
-    The sensor sends the state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
+    The sensor sends y at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
     if no packet arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. Let α and β be the loss
     probabilities of actuator and sensor link, and M = R + B'(K + αβP)B for UDP-like links (αP instead of αβP with a
     delay; no P for TCP-like links). Then
@@ -71,11 +73,15 @@ def lossy_lqg(
     A x̂ + (1−α) B σu (UDP-like) or A x̂ + B û (TCP-like). With ``network.delay`` = 1 the measurement of step k is
     available to the control of step k + 1. Bursty losses are treated in the design as independent losses.
 
+    If measurements of the state arrive late at random, x̂ is the newest one, moved to the present, and the cost and the
+    bounds take their delays into account. With C and V, x̂ is the mean given all measurements that have arrived, each
+    fused at its own step; then no bound is claimed.
+
     With a reference, the deviation from the reference is controlled: controller and actuator store r and f, and only
     the feedback is sent.
 
     Args:
-        plant: discrete-time plant with measured full state.
+        plant: discrete-time plant with measured full state, or with noisy outputs if the applied inputs are known.
         cost: cost without cross term, with a finite horizon or as an average.
         price: λ ≥ 0, the price of a send.
         network: the network; default ideal links.
@@ -86,8 +92,8 @@ def lossy_lqg(
         λ(1 − rate)).
 
     Raises:
-        ProblemError: if the plant is continuous in time or has C or V, a link has a delay of its own, the cost has N or
-            a discount, the delay is above 1, or the reference does not fit.
+        ProblemError: if the plant is continuous in time, or has C or V and inputs may be lost unnoticed, a link has a
+            constant delay, the cost has N or a discount, the delay is above 1, or the reference does not fit.
         UnstableError: if the losses are too frequent for mean-square stability, with an average cost.
 
     Source: khashooei2017, schenato2007
@@ -111,13 +117,14 @@ def lossy_lqg(
             "trajectory is finite"
         )
     network = links.without_bursts()
-    late, channel = network.random_delay("sensor", 1.0), Channel(
+    channel = Channel(
         network.loss("actuator"),
         network.loss("sensor"),
         network.acknowledges("actuator"),
         network.delay == 1,
         (network.key("actuator", "loss"), network.key("sensor", "loss")),
     )
+    late = network.random_delay("sensor", 1.0)
     samples = None if late is None else LateSamples.of(channel, _arriving(late))
     channel = channel if samples is None else samples.channel
     notes: tuple[str, ...] = ()
@@ -136,18 +143,24 @@ def lossy_lqg(
     else:
         assert cost.terminal is not None
         mission = plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon
-        gains = (
-            regulate_lossy_finite(*mission, channel) if samples is None else regulate_late_finite(*mission, samples)
-        )
+        gains = regulate_lossy_finite(*mission, channel) if samples is None else regulate_late_finite(*mission, samples)
         if reference is not None:
             reference.check(plant, cost.horizon)
         if samples is None and no_gain_survives(A, B, channel):
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
-    cost_all_time = None
+    cost_all_time, guarantee = None, None
     if plant.full_state:
         cost_all_time = _cost_all_time(plant, gains, channel, reference)
         refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
+        guarantee = Guarantee(
+            cost_all_time + price * ticks,
+            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
+            "khashooei2017",
+            cost_all_time,
+            price * ticks,
+            more_sends=True,
+        )
     silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     policy = Policy(
@@ -158,14 +171,7 @@ def lossy_lqg(
             cost=cost,
             cost_all_time=cost_all_time,
             settling=float(settling),
-            guarantee=None if cost_all_time is None else Guarantee(
-                cost_all_time + price * ticks,
-                f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
-                "khashooei2017",
-                cost_all_time,
-                price * ticks,
-                more_sends=True,
-            ),
+            guarantee=guarantee,
             identity=None if cost_all_time is None else Identity(cost_all_time, (silent, Form()), SEND),
             covers=GAUSSIAN_THEORY | LATE if network.late == ("sensor",) else GAUSSIAN_THEORY,
         ),
@@ -179,11 +185,9 @@ def lossy_lqg(
 
 
 def _arriving(law: DelayLaw) -> list[float]:
-    """Return the probabilities that a packet has a delay of 0, 1, … steps; it is used at the next step."""
-    shares = law.arriving()
-    found = np.zeros(ceil(law.waits[-1]) + 1)
-    for wait, share in zip(law.waits, shares.tolist(), strict=True):
-        found[ceil(wait)] += share
+    """Return the probabilities that a packet has a delay of 0, 1, … whole steps."""
+    found = np.zeros(int(law.waits[-1]) + 1)
+    found[np.array(law.waits, dtype=int)] = law.arriving()
     return found.tolist()
 
 
@@ -198,11 +202,8 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
-    if network is not None and network.late and network.delay:
-        raise ProblemError(
-            f"network.delay is {network.delay}, and {network.lateness(network.late[0])}; expected network.delay = 0: "
-            "add the step to the delays of the sensor link"
-        )
+    if network is not None:
+        _expect_steps(network)
     if not plant.full_state:
         _expect_known_inputs(plant, network)
     if cost.N.any():
@@ -219,7 +220,26 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
             "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
             "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
         )
-    return discretise(plant, cost, None).plant
+    problem = discretise(plant, cost, None)
+    if network is not None and cost.horizon is None and not plant.full_state:
+        problem.filter()  # which exists if the covariance of a filter does not grow without limit
+    return problem.plant
+
+
+def _expect_steps(network: Network) -> None:
+    """Raise an error unless the random delays of a network are whole steps, and the only ones."""
+    for link in network.late:
+        law = network.random_delay(link, 1.0)
+        if law is not None and any(wait % 1.0 for wait in law.waits):
+            raise ProblemError(
+                f"{network.lateness(link)}, in parts of a step, but the plant is discrete in time; expected the "
+                "probabilities of delays of 0, 1, 2, … steps"
+            )
+        if network.delay:
+            raise ProblemError(
+                f"network.delay is {network.delay}, and {network.lateness(link)}; expected network.delay = 0: add the "
+                "step to the delays of the sensor link"
+            )
 
 
 def _expect_known_inputs(plant: Plant, network: Network | None) -> None:
@@ -344,7 +364,7 @@ KIND = Kind(
     example={"price": 0.1},
     built_in="lossy-double-integrator",
     nodes="S, C, A; the sensor sends at every step",
-    plants=("discrete",),
+    plants=("discrete", "outputs"),
     costs=("average", "horizon"),
     follows=(),
     proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
@@ -354,7 +374,8 @@ KIND = Kind(
     order=(
         "send y, set the estimate on `Received`, command, decide, send, zero input (or the feedforward) "
         "unless `Received`, predict with the mean loss on the decision, or with the `Acknowledged` input "
-        "under tcp. With a delay: estimate := prior first, and S sends after A"
+        "under tcp. With a delay: estimate := prior first, and S sends after A. With late outputs: fuse the packets of "
+        "all ages first"
     ),
     offered=7,
     for_dropouts=True,
