@@ -222,13 +222,6 @@ def test_what_a_filter_of_late_measurements_cannot_do_is_refused_by_name(changes
         late_sensor(**changes).design()
 
 
-def test_a_state_that_no_output_shows_is_refused() -> None:
-    """Its covariance would grow without limit."""
-    hidden = Plant(PLANT.A, PLANT.B, PLANT.W, [[0.0, 1.0]], [[0.1]])
-    with pytest.raises((ProblemError, UnstableError), match="not detectable"):
-        lossy_lqg(hidden, COST, price=0.1, network=late([0.5, 0.5]))
-
-
 def test_random_delays_of_inputs_withdraw_the_claims() -> None:
     """The filter then takes inputs for applied when they are sent; the theory does not cover it."""
     states = {"plant.C": None, "plant.V": None, "network.protocol": "udp"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from taciturn.base.given_controller import lqg_observer
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import discretise
 from taciturn.model.network import Network
+from taciturn.model.steps import Assign, Received
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
 from taciturn.nodes.simulated_plant import SimulatedPlant
@@ -185,6 +187,46 @@ def test_older_packets_are_superseded_and_not_acknowledged() -> None:
     assert actuator.step(3, packets=[late]).input == (4.0,)
     assert actuator.step(4) == ((), (4.0,))
     assert actuator.counters["superseded"] == 2
+
+
+def test_a_filter_uses_all_packets_that_are_not_too_old() -> None:
+    """Also those that newer ones have overtaken; a packet beyond the longest delay is late and does not count."""
+    problem = late_sensor(**{"network.protocol": "ideal", "network.sensor_loss": 0.0, "network.actuator_loss": 0.0})
+    loop = problem.close(problem.design())
+
+    def after(packets: dict[int, list[Packet]]) -> tuple[Node, list[float]]:
+        controller = Node(loop.policy, "controller", network=loop.network)
+        sent = [controller.step(k, packets=packets.get(k, [])).packets for k in range(6)]
+        return controller, [packet.values[0] for packets in sent for packet in packets if packet.kind == "data"]
+
+    data = [Packet("data", "sensor", k, k, (1.0 + k,)) for k in range(6)]
+    both, inputs = after({2: [data[2], data[1]._replace(late=1)], 3: [data[0]._replace(late=3)]})
+    assert (both.counters["used"], both.counters["superseded"], both.counters["late"]) == (3, 0, 0)
+    assert both.readings["data", "sensor"] is None
+    newest, fewer = after({2: [data[2]]})
+    assert newest.counters["used"] == 1
+    assert fewer[0] != inputs[0]
+    late, same = after({2: [data[2]], 5: [data[0]._replace(late=5)]})
+    assert (late.counters["used"], late.counters["late"]) == (1, 1)
+    assert same == fewer
+
+
+def test_packets_of_each_age_are_for_receivers_that_work_once_per_step() -> None:
+    """An actuator acts when a packet arrives; and no receiver takes the newest packet beside those of each age."""
+    plant, policy = taciturn.load("inverted-pendulum").plant, taciturn.load("inverted-pendulum").design()
+
+    def changed(*branches: Assign) -> taciturn.Policy:
+        steps = [step for step in policy.steps if not (isinstance(step, Assign) and step.signal == "input")]
+        return replace(policy, steps=(*steps, *branches))
+
+    unit = np.eye(1)
+    one = Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator", of_age=1))
+    for wrong in (
+        [one],
+        [one, Assign("actuator", "other", ({"input": unit}, {"command": unit}), Received("actuator"))],
+    ):
+        with pytest.raises(ProblemError, match=r"uses the packets of each age on the actuator link \(of_age\), but it"):
+            taciturn.close(plant, changed(*wrong), policy.network.changed({"actuator": {"delay": [0.5, 0.5]}}))
 
 
 def test_a_packet_without_a_time_of_arrival_is_heard_in_the_next_step() -> None:

@@ -146,8 +146,8 @@ class LateFilter(Displayed):
         begun: list[Any] = [1.0, *(window[first + age] for age in ages)]
         for age in ages[1:]:
             old = window[(age - 1) * (1 + p) : age * (1 + p)]
-            known.append(np.where(flags[age][0] > 0.5, 1.0, old[0]))
-            values.append(np.where(flags[age][0] > 0.5, samples[age], old[1:]))
+            known.append(_chosen(flags[age][0] > 0.5, 1.0, old[0]))
+            values.append(_chosen(flags[age][0] > 0.5, samples[age], old[1:]))
         x: Any = past
         P: Any = np.reshape(spread, (n, n))
         base = x, P
@@ -155,8 +155,8 @@ class LateFilter(Displayed):
             moved = self.A @ x + effects[age * n : (age + 1) * n]
             grown = self.A @ P @ self.A.T + self.W
             lived = begun[age + 1] > 0.5
-            ahead: list[Any] = [np.where(lived, moved, x), np.where(lived, (grown + grown.T) / 2, P)]
-            x, P = self._corrected(*ahead, self.T @ values[age], known[age] > 0.5)
+            x, P = _chosen(lived, moved, x), _chosen(lived, (grown + grown.T) / 2, P)
+            x, P = self._corrected(x, P, self.T @ values[age], known[age] > 0.5)
             if age == self.longest:
                 base = x, P
         kept: list[Any] = []
@@ -169,9 +169,13 @@ class LateFilter(Displayed):
         for i, row in enumerate(self.C):
             seen: Any = P @ row
             share: Any = 1.0 / (row @ seen + self.V[i])
-            moved: list[Any] = [x + seen * (share * (y[i] - row @ x)), P - share * np.outer(seen, seen)]
-            x, P = (cast("Any", np.where(known, new, old)) for new, old in zip(moved, (x, P), strict=True))
+            x = _chosen(known, x + seen * (share * (y[i] - row @ x)), x)
+            P = _chosen(known, P - share * np.outer(seen, seen), P)
         return x, P
+
+
+def _chosen(known: Any, new: Any, old: Any) -> Any:
+    return cast("Any", np.where(known, new, old))
 
 
 def _sample(age: int) -> str:

@@ -220,10 +220,7 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
             "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
             "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
         )
-    problem = discretise(plant, cost, None)
-    if network is not None and cost.horizon is None and not plant.full_state:
-        problem.filter()  # which exists if the covariance of a filter does not grow without limit
-    return problem.plant
+    return discretise(plant, cost, None).plant
 
 
 def _expect_steps(network: Network) -> None:
