@@ -2,7 +2,7 @@
 
 A measurement y_{k−j} that arrives in step k tells of the state of step k − j. The controller keeps the last D + 1
 steps, D the largest delay of a packet in steps: which of their measurements have come, these measurements, and what the
-inputs added to the state. Of the step before them it keeps the estimate x̂ and its covariance P, in which all older
+inputs added to the state. It also keeps the estimate x̂ of the step before them and its covariance P, in which all older
 measurements that have come are included. In each step it goes back and rolls forward to the present:
 
     x̂⁻_i = A x̂_{i−1} + b_{i−1},   P⁻_i = A P_{i−1} A' + W,   b_i = B u_i,
@@ -41,13 +41,9 @@ PAST, SPREAD, WINDOW = "past estimate", "past covariance", "measurements of past
 
 
 def fuse_late(plant: Plant, link: str, longest: int, key: str) -> tuple[Step, ...]:
-    """Return the policy steps of a filter that fuses all measurements of a link.
+    """Return the steps of a filter that fuses all ``y`` of a link with delays of up to ``longest`` steps.
 
-    Args:
-        plant: a plant with outputs.
-        link: the link of the sensor, whose packets contain ``y``.
-        longest: largest delay of a packet in steps.
-        key: key of the delay, for messages.
+    ``key`` is the key of the delay, for messages.
     """
     n, p, ages = plant.states, plant.outputs, range(longest + 1)
     if (longest + 1) * n > MOST:
@@ -135,7 +131,7 @@ class LateFilter(Displayed):
     def __call__(self, past: Any, spread: Any, window: Any, effects: Any, *arrivals: Any) -> Any:
         """Return the estimate, and what the filter keeps of past steps, from the samples of all ages and their flags.
 
-        What is kept has for each age but the largest a flag and a sample, and then for each age whether there was a
+        The window contains for each age but the largest a flag and a sample, and then for each age whether there was a
         step so long ago.
         """
         n, p, ages = len(self.A), len(self.C), range(self.longest + 1)

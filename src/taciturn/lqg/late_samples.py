@@ -2,8 +2,8 @@
 
 The controller moves the newest measurement x_{k−a} to the present with the inputs that it has sent since then. So its
 error is the sum of what noise and unnoticed losses have added in the last a steps, each moved on by A. A measurement
-arrives at most j steps after it was sent with the probability F_j, independently of others. What has been added in a
-step is still part of the error a steps later if no measurement of that step or of a later one has come:
+arrives at most j steps after it was sent with the probability F_j, independently of others. An error that was added in
+a step is still there a steps later if no measurement of that step or of a later one has come:
 
     S_a = q_0 q_1 ⋯ q_a,   q_j = 1 − F_j,   q_j = q_D for j > D.
 

@@ -242,7 +242,7 @@ class Heard:
 def flag_of(link: str, piece: int) -> Name:
     """Return the name of the program input for a packet that has arrived in a step, before a piece ends.
 
-    It is 0 without a packet, and otherwise 1 plus its age in steps. Where all packets are used, ages stand for pieces.
+    It is 0 without a packet, and otherwise 1 plus its age in steps. Where all packets are used, each age has one.
     """
     return Entry("arrived", 0, link, piece) if piece else Received(link)
 

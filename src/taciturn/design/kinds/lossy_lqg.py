@@ -191,19 +191,20 @@ def _arriving(law: DelayLaw) -> list[float]:
     return found.tolist()
 
 
-def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, network: Network | None = None) -> Plant:
-    """Raise an error if the design for lossy links does not support the plant or the cost; return the plant.
-
-    With a network, noisy outputs are allowed if the controller knows which inputs were applied.
-    """
+def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, network: Network = IDEAL) -> Plant:
+    """Raise an error if the design for lossy links does not support plant, cost or network; return the plant."""
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
-    if network is not None:
-        _expect_steps(network)
+    if plant.exosystem is not None or plant.changes is not None:
+        raise ProblemError(
+            "set-points or disturbances are given, which the policy kind lossy-lqg does not compensate; expected "
+            "neither: remove them, or use another policy kind, such as excess"
+        )
+    _expect_steps(network)
     if not plant.full_state:
         _expect_known_inputs(plant, network)
     if cost.N.any():
@@ -239,11 +240,9 @@ def _expect_steps(network: Network) -> None:
             )
 
 
-def _expect_known_inputs(plant: Plant, network: Network | None) -> None:
+def _expect_known_inputs(plant: Plant, network: Network) -> None:
     """Raise an error unless the controller may have a filter, which must know the applied inputs."""
     told = "C or V is given, but the policy kind lossy-lqg measures the full state"
-    if network is None:
-        raise ProblemError(f"{told}; expected neither C nor V: remove them")
     if network.loss("actuator") and not network.acknowledges("actuator"):
         raise ProblemError(
             f"{told} unless its filter knows which inputs were applied, and {network.lost('actuator')} is "
@@ -366,7 +365,10 @@ KIND = Kind(
     follows=(),
     proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
     relative_to="an attempt at every step",
-    refused="`cost.N`; an average cost with losses at or above the critical loss probabilities",
+    refused=(
+        "`cost.N`; `C` and `V` if inputs are lost unnoticed; an average cost with losses at or above the critical loss "
+        "probabilities"
+    ),
     data="the step counter `clock` of a finite horizon; gains, Γ and the reference are read by `clock`",
     order=(
         "send y, set the estimate on `Received`, command, decide, send, zero input (or the feedforward) "
@@ -377,6 +379,6 @@ KIND = Kind(
     offered=7,
     for_dropouts=True,
     delay=1,
-    requires="a discrete-time model, a measurement of the full state, and N = 0",
+    requires="a discrete-time model, N = 0, and the full state as measurement or inputs that the controller knows",
     check=refuse_what_is_not_covered,
 )
