@@ -199,6 +199,11 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
+    if plant.transport is not None:
+        raise PlacementError(
+            "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
+            "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
+        )
     if plant.exosystem is not None or plant.changes is not None:
         raise ProblemError(
             "set-points or disturbances are given, which the policy kind lossy-lqg does not compensate; expected "
@@ -215,11 +220,6 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
         raise ProblemError(
             f"cost.discount is {cost.discount:g}, which the policy kind lossy-lqg does not use; expected an average "
             "cost or a finite horizon"
-        )
-    if plant.transport is not None:
-        raise PlacementError(
-            "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
-            "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
         )
     return discretise(plant, cost, None).plant
 
