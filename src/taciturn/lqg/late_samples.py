@@ -16,7 +16,8 @@ place of φP: M = R + B'(K + αG)B without acknowledgements, and the average cos
 tr((K + G)W).
 
 With acknowledgements, or without losses of inputs, K does not depend on G, and X_D is the weight P of a link that drops
-measurements with the probability q_D, which is proved. Otherwise, the recursion is repeated from there to its limit.
+measurements with the probability q_D, which is proved. Otherwise, the recursion is repeated from there to its limit;
+its error is estimated from the last change and the growth of the mean square.
 
 Source: khashooei2017, schenato2007, schenato2008
 """
