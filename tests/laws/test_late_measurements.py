@@ -14,7 +14,7 @@ from runtime.late import delays, late_sensor, record
 from runtime.loops import column
 
 from taciturn import Cost, Loop, Network, Plant, ProblemError, UnstableError, close
-from taciturn.design import lossy_lqg
+from taciturn.design import all_time, lossy_lqg
 from taciturn.model.link import LinkLaw
 from taciturn.program import translation
 from taciturn.program.late import NEVER
@@ -198,6 +198,22 @@ def test_all_measurements_cost_less_than_the_newest_ones_and_than_the_longest_de
 
     assert found["fused"].value + 4 * errors("fused", "newest") < found["newest"].value
     assert found["newest"].value + 4 * errors("newest", "longest") < found["longest"].value
+
+
+@pytest.mark.parametrize("acknowledged", [None, True], ids=["no losses", "losses"])
+def test_outputs_that_arrive_at_once_have_the_exact_cost(acknowledged: bool | None) -> None:
+    """Identity and plain average agree; without losses, an attempt in every step costs what LQG does."""
+    network = late([0.9, 0.1], 0.0, 0.2 if acknowledged else 0.0, acknowledged).changed({"sensor": {"delay": None}})
+    policy = lossy_lqg(PLANT, COST, price=0.3, network=network)
+    loop = close(PLANT, policy)
+    assert loop.nominal
+    square, plain = (average(loop, way, steps=400_000, seed=3) for way in (None, plain_average(loop)))
+    gap = plain.cost.value - square.cost.value
+    assert abs(gap) < 4 * np.hypot(plain.cost.standard_error, square.cost.standard_error)
+    assert policy.guarantee is not None
+    assert policy.cost_all_time < square.cost.value < policy.guarantee.at_rate(square.rates["actuator"].value)
+    if not acknowledged:
+        assert policy.cost_all_time == pytest.approx(all_time(PLANT, COST).cost_all_time, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,15 @@ def test_bounds_are_those_at_the_rate() -> None:
             "far: no theta gives lqg the rate 0.3",
             marks=pytest.mark.evidence,
         ),
-        ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: the changed problem: C or V is given"),
+        (
+            {
+                "one": MASSES,
+                "lossy": with_policy("lossy-lqg", price=1.0).changed(
+                    {"network.protocol": "udp", "network.actuator_loss": 0.1}
+                ),
+            },
+            "lossy: the changed problem: C or V is given",
+        ),
     ],
 )
 def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], words: str) -> None:

@@ -38,10 +38,11 @@ from taciturn.model.steps import ONE, Apply, Assign, Received, Step, Terms
 MOST = 48  # entries of the states of all steps that a filter keeps; its code grows with their number times the states
 EFFECT, EFFECTS = "effect", "past effects"  # what the input of this step, and of earlier ones, adds to the state
 PAST, SPREAD, WINDOW = "past estimate", "past covariance", "measurements of past steps"
+FUSED = frozenset({ESTIMATE, PAST, SPREAD, WINDOW})  # signals that the filter computes
 
 
-def fuse_late(plant: Plant, link: str, longest: int, key: str) -> tuple[Step, ...]:
-    """Return the steps of a filter that fuses all ``y`` of a link with delays of up to ``longest`` steps.
+def fuse_late(plant: Plant, link: str, random: bool, longest: int, key: str) -> tuple[Step, ...]:
+    """Return the steps of a filter that fuses all ``y`` of a link, with ``random`` delays of up to ``longest`` steps.
 
     ``key`` is the key of the delay, for messages.
     """
@@ -54,7 +55,8 @@ def fuse_late(plant: Plant, link: str, longest: int, key: str) -> tuple[Step, ..
         )
     heard = list[Step]()
     for age in ages:
-        on, none = Received(link, of_age=age), np.zeros((p, 1))
+        # without random delays, each packet has the age 0
+        on, none = Received(link, of_age=age if random else None), np.zeros((p, 1))
         heard += [
             Assign("controller", _sample(age), ({ONE: none}, {"y": np.eye(p)}), on),
             Assign("controller", _came(age), ({ONE: none[:1]}, {ONE: np.ones((1, 1))}), on),

@@ -9,7 +9,8 @@ predicts with the mean, and the gains weigh the error of this.
 
 Measurements may be late at random. The controller then moves the newest state to the present, with the gains and the
 cost of ``lqg/late_samples``, for which the same theorem holds. With noisy outputs, a filter fuses all measurements
-(``design/late_filter``), if it knows the inputs; the mean of its covariance has no closed form, so there is no J_all.
+(``design/late_filter``), if it knows the inputs. The mean of its covariance has no closed form, so there is no J_all
+unless all measurements arrive at once: then, J_all = tr(KW) + tr(ΓΣ) with the covariance Σ of the steady filter.
 
 Source: khashooei2017, schenato2007
 """
@@ -22,7 +23,7 @@ from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
-from taciturn.design.late_filter import begin_late, fuse_late, keep_effects, rolled_forward
+from taciturn.design.late_filter import FUSED, begin_late, fuse_late, keep_effects, rolled_forward
 from taciturn.errors import PlacementError, ProblemError
 from taciturn.lqg.critical_losses import Channel, MeanSquare
 from taciturn.lqg.discrete import discretise
@@ -75,7 +76,7 @@ def lossy_lqg(
 
     If measurements of the state arrive late at random, x̂ is the newest one, moved to the present, and the cost and the
     bounds take their delays into account. With C and V, x̂ is the mean given all measurements that have arrived, each
-    fused at its own step; then no bound is claimed.
+    fused at its own step; then no bound is claimed if measurements are late or lost.
 
     With a reference, the deviation from the reference is controlled: controller and actuator store r and f, and only
     the feedback is sent.
@@ -149,9 +150,15 @@ def lossy_lqg(
         if samples is None and no_gain_survives(A, B, channel):
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
-    cost_all_time, guarantee = None, None
+    cost_all_time, guarantee, steady = None, None, None
+    if not plant.full_state and cost.horizon is None:
+        steady = discretise(plant, cost, None).filter()
+        settling = max(settling, 1 / (1 - steady.slowest))
     if plant.full_state:
         cost_all_time = _cost_all_time(plant, gains, channel, reference)
+    elif steady is not None and channel.sensor_loss == 0.0:
+        cost_all_time = float(np.sum(gains.K * plant.W) + np.sum(gains.Gamma * steady.posterior))
+    if cost_all_time is not None:
         refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
         guarantee = Guarantee(
             cost_all_time + price * ticks,
@@ -173,6 +180,7 @@ def lossy_lqg(
             settling=float(settling),
             guarantee=guarantee,
             identity=None if cost_all_time is None else Identity(cost_all_time, (silent, Form()), SEND),
+            functions=frozenset() if plant.full_state else FUSED,
             covers=GAUSSIAN_THEORY | LATE if network.late == ("sensor",) else GAUSSIAN_THEORY,
         ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
@@ -322,7 +330,7 @@ def _steps(
         return (*order, *_limited(plant, network, reference, "seen" if network.delay else ESTIMATE, known))
     moved = Assign("controller", "prior", (silent, sent), known)
     if not plant.full_state:
-        fused = fuse_late(plant, "sensor", late, network.key("sensor", "delay"))
+        fused = fuse_late(plant, "sensor", "sensor" in network.late, late, network.key("sensor", "delay"))
         return (sample, *fused, *act, *keep_effects(moved, ESTIMATE, late + 1))
     return (*order, moved, *(keep_effects(moved, ESTIMATE, late) if late else ()))
 
