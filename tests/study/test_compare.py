@@ -117,13 +117,8 @@ def test_bounds_are_those_at_the_rate() -> None:
             marks=pytest.mark.evidence,
         ),
         (
-            {
-                "one": MASSES,
-                "lossy": with_policy("lossy-lqg", price=1.0).changed(
-                    {"network.protocol": "udp", "network.actuator_loss": 0.1}
-                ),
-            },
-            "lossy: the changed problem: C or V is given",
+            {"one": MASSES, "foreseen": with_policy("consistent", period=0.5)},
+            "foreseen: the changed problem: the plant is discrete in time",
         ),
     ],
 )
