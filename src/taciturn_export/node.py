@@ -147,7 +147,7 @@ class NodeData(Displayed):
         for one in layout.arrivals:
             kind, link = KINDS.index(one.kind), self._links.index(one.link)
             found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
-            found += struct.pack(">I2B", self._interval(one), one.pieces, one.ages)
+            found += struct.pack(">I2B", self._interval(one), one.pieces, one.ages or one.every)
         for one in layout.departures:
             found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
         for place in self.program.clocks:
@@ -175,7 +175,7 @@ class NodeData(Displayed):
         )  # fmt: skip
         channels = [
             f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
-            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u, {one.pieces}u, {one.ages}u}}"
+            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u, {one.pieces}u, {one.ages or one.every}u}}"
             for one in layout.arrivals
         ]
         sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]

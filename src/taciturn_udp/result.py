@@ -41,7 +41,7 @@ def _verdict(found: NetworkRun) -> Iterator[str]:
     told += [] if share is None else [f"{share_text(share)} of the packets"]
     if found.cost is None:
         told.append("too few steps for a mean cost")
-    elif found.nominal and policy.theory.cost is not None and policy.cost_all_time > 0:
+    elif found.nominal and policy.theory.cost is not None and (policy.theory.cost_all_time or 0.0) > 0:
         told.append(compared_text(found.cost, policy.cost_all_time))
     else:
         told.append(f"cost {found.cost} {found.per}")
@@ -151,7 +151,7 @@ class NetworkRun(Tabular):
         Field("cost", json=measured, say="cost", text="{} {of.per}"),
         Field(
             "cost_all_time",
-            lambda found: found.loop.policy.cost_all_time if found.nominal else None,
+            lambda found: found.loop.policy.theory.cost_all_time if found.nominal else None,
             say="every sample",
             text="{:.6g}",
         ),

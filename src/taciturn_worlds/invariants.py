@@ -207,7 +207,10 @@ class Monitor:
             known.append(packet.nonce)
 
     def stepped(self, role: str, line: Mapping[str, Any]) -> None:
-        """Check a node's step: steps are in order, and the node reads no packet older than those it has read."""
+        """Check a node's step: steps are in order, and the node reads no packet older than those it has read.
+
+        A node that uses all packets of a link may read older ones.
+        """
         life, now = self.lives[role], self._step()
         node = life.node
         self.ticks += 1
@@ -225,7 +228,8 @@ class Monitor:
             )
         for (kind, link), values in node.readings.items():
             if kind == "data" and values is not None:
-                order = self._next("data", link, values, life.read[kind, link])
+                last = BEFORE if link in node.program.every else life.read[kind, link]
+                order = self._next("data", link, values, last)
                 if order is None:
                     self.fail(
                         ORDER,

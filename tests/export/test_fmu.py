@@ -24,7 +24,7 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from parity.loops import with_functions
-from runtime.late import WITHIN, pendulum
+from runtime.late import WITHIN, late_sensor, pendulum
 from runtime.test_nodes import PARTICULAR, long
 from runtime.test_nodes import build as build_loop
 from systems import make_system
@@ -48,6 +48,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "set-points": lambda: tank(),
     "own draws": lambda: build_loop("stochastic"),
     "delays": lambda: pendulum({"delta": 0.05}).close(pendulum({"delta": 0.05}).design()),
+    "late measurements": lambda: late_sensor().close(late_sensor().design()),
     "single precision": lambda: replace(LOOPS["two-mass-lqg"](), precision="float32"),
 }
 Make = Callable[[str, Version], tuple[Loop, Fmu, Path]]

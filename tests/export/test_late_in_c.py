@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from counts import few
 from export.devices import STRICT, Device, compile_node, needs_compiler
-from runtime.late import WITHIN, pendulum, sets, told_late
+from runtime.late import STATES, WITHIN, late_sensor, pendulum, sets, told_late
 from runtime.test_late_packets import DEAD_BANDS
 
 import taciturn
@@ -46,6 +46,9 @@ LAWS: dict[str, tuple[int, Problem]] = {
             }
         ),
     ),
+    "late states": (2000, late_sensor(**STATES)),
+    "fused": (2000, late_sensor()),
+    "fused, rounded": (2000, late_sensor(**{"network.payload": "float32"})),
     "plan": (3000, pendulum({"delta": 0.05, "plan": 3}, acknowledged=False, delay=[0.3, 0.2, 0.2, 0.2])),
     "up to 63 steps": (1000, pendulum(delay=[0.9, *[0.0] * 62, 0.1], acknowledged=False)),
     "within periods": (3000, pendulum({"delta": 0.05}, delay=WITHIN)),

@@ -79,6 +79,34 @@ def told_late(**changes: Any) -> Problem:
     return parse(tomllib.loads(SETS + GAINS), "sets").changed({**late, **changes})
 
 
+LATE_SENSOR = """
+[plant]
+dt = 0.1
+A = [[1.1, 0.2], [0.0, 0.7]]
+B = [[0.3], [1.0]]
+W = [[0.1, 0.0], [0.0, 0.2]]
+C = [[1.0, 0.0]]
+V = [[0.1]]
+[cost]
+Q = [[1.0, 0.0], [0.0, 1.0]]
+R = [[0.2]]
+[network]
+protocol = "tcp"
+actuator_loss = 0.1
+sensor_loss = 0.1
+sensor_delay = [0.3, 0.3, 0.2, 0.2]
+[policy]
+kind = "lossy-lqg"
+price = 0.1
+"""
+STATES: dict[str, Any] = {"plant.C": None, "plant.V": None}
+
+
+def late_sensor(**changes: Any) -> Problem:
+    """Return a plant whose measurements come late, in any order, or not at all."""
+    return parse(tomllib.loads(LATE_SENSOR), "late").changed(changes)
+
+
 class Shown(TimeStep):
     """A time step that also shows the delay of each packet, and the inputs of the pieces of a period."""
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from runtime.attacks import KEY
-from runtime.late import ACTUATOR, WITHIN, pendulum
+from runtime.late import ACTUATOR, STATES, WITHIN, late_sensor, pendulum
 from runtime.loops import by_hand
 
 import taciturn
@@ -75,6 +75,19 @@ def test_processes_have_the_bits_of_nodes_in_memory(name: str) -> None:
     )
     assert actuator.get("late", 0) == 0 < actuator["used"]
     assert found.reports["actuator"]["degraded"] == found.reports["controller"]["degraded"] == {}
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("changes", [{}, STATES], ids=["fused", "states"])
+def test_processes_fuse_late_measurements_with_the_bits_of_nodes_in_memory(changes: dict[str, Any]) -> None:
+    """All packets that arrive are used, also those that newer ones have overtaken; of a measured state, the newest."""
+    problem = late_sensor(**changes)
+    found = run_network(problem, steps=TICKS // 2, seed=2, key=KEY)
+    assert found.costs.tobytes() == by_hand(problem, TICKS // 2, 2).tobytes()
+    counted = found.reports["controller"]["counters"]
+    assert counted.get("late", 0) == 0 < counted["used"]
+    assert (counted.get("superseded", 0) > 0) == bool(changes)
+    assert found.reports["controller"]["degraded"] == {}
 
 
 @pytest.mark.parametrize("law", [[0.5, 0.3], WITHIN, {"states": [[0.5, 0.5], [0.0, 0.2, 0.6]]}])

@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from runtime.late import WITHIN, delays, differing_steps, inputs_of, nodes_of, pendulum, record, sets, told_late
+from runtime.late import (
+    STATES,
+    WITHIN,
+    delays,
+    differing_steps,
+    inputs_of,
+    late_sensor,
+    nodes_of,
+    pendulum,
+    record,
+    sets,
+    told_late,
+)
 from runtime.loops import column
 
 import taciturn
@@ -16,6 +29,7 @@ from taciturn.base.given_controller import lqg_observer
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import discretise
 from taciturn.model.network import Network
+from taciturn.model.steps import Assign, Received
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
 from taciturn.nodes.simulated_plant import SimulatedPlant
@@ -76,6 +90,9 @@ def loops() -> dict[str, Callable[[], Loop]]:
         problem = taciturn.load("quadruple-tank").changed(changes)
         return problem.close(problem.design())
 
+    def measured_late(**changes: object) -> Loop:
+        return closed(late_sensor(**changes))
+
     early, late = {"delay": {"seconds": [0.5, 1.5], "probability": [0.5, 0.4]}}, {"seconds": 1.2}
     return {
         "acknowledged": acknowledged,
@@ -109,6 +126,16 @@ def loops() -> dict[str, Callable[[], Loop]]:
         "predicted by a controller": lambda: heard({}),
         "predicted by a controller at an operating point": lambda: heard(
             {"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}, "network.payload": "float32"}
+        ),
+        "late states": lambda: measured_late(**STATES),
+        "late states, inputs lost unnoticed": lambda: measured_late(**STATES, **{"network.protocol": "udp"}),
+        "late measurements, fused": measured_late,
+        "late measurements, fused and rounded": lambda: measured_late(**{"network.payload": "float32"}),
+        "late measurements, fused at an operating point": lambda: measured_late(
+            **{"plant.operating_point": {"x": [2.9, -1.0], "u": [-0.3]}}
+        ),
+        "two sensors at one place, fused": lambda: measured_late(
+            **{"plant.C": [[1.0, 0.0], [0.5, 1.0]], "plant.V": [[0.1, 0.04], [0.04, 0.2]]}
         ),
         "plan": lambda: unheard({"plan": 3}, delay=[0.3, 0.1, 0.1, 0.1, 0.3]),
         "plan, within periods": lambda: unheard({"plan": 1}, delay=WITHIN),
@@ -170,6 +197,46 @@ def test_older_packets_are_superseded_and_not_acknowledged() -> None:
     assert actuator.step(3, packets=[late]).input == (4.0,)
     assert actuator.step(4) == ((), (4.0,))
     assert actuator.counters["superseded"] == 2
+
+
+def test_a_filter_uses_all_packets_that_are_not_too_old() -> None:
+    """Also those that newer ones have overtaken; a packet beyond the longest delay is late and does not count."""
+    problem = late_sensor(**{"network.protocol": "ideal", "network.sensor_loss": 0.0, "network.actuator_loss": 0.0})
+    loop = problem.close(problem.design())
+
+    def after(packets: dict[int, list[Packet]]) -> tuple[Node, list[float]]:
+        controller = Node(loop.policy, "controller", network=loop.network)
+        sent = [controller.step(k, packets=packets.get(k, [])).packets for k in range(6)]
+        return controller, [packet.values[0] for packets in sent for packet in packets if packet.kind == "data"]
+
+    data = [Packet("data", "sensor", k, k, (1.0 + k,)) for k in range(6)]
+    both, inputs = after({2: [data[2], data[1]._replace(late=1)], 3: [data[0]._replace(late=3)]})
+    assert (both.counters["used"], both.counters["superseded"], both.counters["late"]) == (3, 0, 0)
+    assert both.readings["data", "sensor"] is None
+    newest, fewer = after({2: [data[2]]})
+    assert newest.counters["used"] == 1
+    assert fewer[0] != inputs[0]
+    late, same = after({2: [data[2]], 5: [data[0]._replace(late=5)]})
+    assert (late.counters["used"], late.counters["late"]) == (1, 1)
+    assert same == fewer
+
+
+def test_packets_of_each_age_are_for_receivers_that_work_once_per_step() -> None:
+    """An actuator acts when a packet arrives; and no receiver takes the newest packet beside those of each age."""
+    plant, policy = taciturn.load("inverted-pendulum").plant, taciturn.load("inverted-pendulum").design()
+
+    def changed(*branches: Assign) -> taciturn.Policy:
+        steps = [step for step in policy.steps if not (isinstance(step, Assign) and step.signal == "input")]
+        return replace(policy, steps=(*steps, *branches))
+
+    unit = np.eye(1)
+    one = Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator", of_age=1))
+    for wrong in (
+        [one],
+        [one, Assign("actuator", "other", ({"input": unit}, {"command": unit}), Received("actuator"))],
+    ):
+        with pytest.raises(ProblemError, match=r"uses the packets of each age on the actuator link \(of_age\), but it"):
+            taciturn.close(plant, changed(*wrong), policy.network.changed({"actuator": {"delay": [0.5, 0.5]}}))
 
 
 def test_a_packet_without_a_time_of_arrival_is_heard_in_the_next_step() -> None:

@@ -12,6 +12,7 @@ from counts import few
 from hypothesis import HealthCheck, find, settings
 from hypothesis import strategies as st
 from runtime.defects import DEFECTS, SHOWN
+from runtime.late import STATES, late_sensor
 from runtime.seeded import of_seed, problem
 from runtime.test_nodes import TANKS
 
@@ -44,6 +45,16 @@ def test_no_invariant_breaks_with_several_sensors(first: int, changes: Mapping[s
     chosen = taciturn.load("quadruple-tank").changed(changes)
     for seed in range(first, first + 8):
         found = run_world_with_devices(chosen, seed)
+        assert found.faults
+        assert found.broken is None, f"world {seed}: {found.broken}"
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("changes", [{}, STATES], ids=["fused", "states"])
+def test_no_invariant_breaks_with_late_measurements(changes: Mapping[str, object]) -> None:
+    """A filter also uses packets that newer ones have overtaken; on the host and in C."""
+    for seed in range(3):
+        found = run_world_with_devices(late_sensor(**changes), seed)
         assert found.faults
         assert found.broken is None, f"world {seed}: {found.broken}"
 

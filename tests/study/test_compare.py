@@ -116,7 +116,10 @@ def test_bounds_are_those_at_the_rate() -> None:
             "far: no theta gives lqg the rate 0.3",
             marks=pytest.mark.evidence,
         ),
-        ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: the changed problem: C or V is given"),
+        (
+            {"one": MASSES, "foreseen": with_policy("consistent", period=0.5)},
+            "foreseen: the changed problem: the plant is discrete in time",
+        ),
     ],
 )
 def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], words: str) -> None:

@@ -12,9 +12,10 @@ so every trigger that bounds this square bounds the cost (``bounds``). ``silence
 controller, with the rule of ``dead_bands``, or with a bound on every path (``every_path``). ``prediction`` writes
 policies that predict, and ``at_fixed_steps`` those without a decision. ``late`` decides on packets with random delays,
 relative to the loops of ``late_base``, by packets in flight (``late_flight``) and probabilities (``late_belief``);
-``late_sensor`` does so for measurements. ``missing_samples`` changes the gain of the filter of any kind. A kind is a
-file in ``kinds`` that ends with the record of the kind (``kind``); ``catalogue`` lists these files and the kinds of
-other packages. A new kind requires a file in ``kinds`` and a test of its theorem.
+``late_sensor`` does so for measurements, and ``late_filter`` fuses those that are late at their own steps.
+``missing_samples`` changes the gain of the filter of any kind. A kind is a file in ``kinds`` that ends with the record
+of the kind (``kind``); ``catalogue`` lists these files and the kinds of other packages. A new kind requires a file in
+``kinds`` and a test of its theorem.
 
 The design functions are attributes of this package: ``design.lqg`` is the one of the kind ``lqg``. A kind is imported
 when its function is used for the first time.

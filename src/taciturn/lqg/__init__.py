@@ -20,8 +20,8 @@ Read the modules in this order:
    ``loaded``: loads of the simulated plant.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``critical_losses``: control over links that drop packets, and the critical loss probabilities.
-   ``registers``: states that hold earlier inputs and outputs. ``missing_samples``: the gain of a filter whose samples
-   are sometimes missing.
+   ``late_samples``: measurements that arrive late. ``registers``: states that hold earlier inputs and outputs.
+   ``missing_samples``: the gain of a filter whose samples are sometimes missing.
 5. ``queries``: schedules of measurements, by their value to the controller or by the variances of predicted outputs.
 6. ``stored`` and ``gain``: proofs for the gains as programs hold them, and the H∞ norm of a loop. ``cache``: results of
    equal data, which are computed once.

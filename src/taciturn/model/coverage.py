@@ -41,7 +41,7 @@ _PREFIXES |= {name: name.lower() for name in _OWN} | {
     "OperatingPoint": "operating_point",
 }
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
-_ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
+_ABSENT = {"Trigger.limit", "Received.of_age"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function", "plant.names")  # callables, and names, which change no number
 _NAMED = {  # the words of the message in place of a name and the usual remedy
     "plant.transport": ("a delay or a buffer of a link", "links without delay and buffer"),
@@ -114,7 +114,7 @@ FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 # random delays of packets, of which a sender with acknowledgements learns the time of arrival, and a receiver the age
 LATE = names("DelayLaw", "waits odds in_seconds sequence block") | names("Acted", "link age piece")
-LATE |= {"links.delay", "links.acknowledgement_delay", "Received.oldest"}
+LATE |= {"links.delay", "links.acknowledgement_delay", "Received.oldest", "Received.of_age"}
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
 LINEAR_LOOP = LINEAR_PLANT | REGISTERS | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS

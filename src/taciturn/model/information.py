@@ -44,6 +44,7 @@ from taciturn.model.steps import (
     assigned,
     hears,
     read,
+    uses_every_packet,
 )
 from taciturn.model.trigger import Form, Scheduled
 
@@ -110,6 +111,8 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
         )
     by = [step.signal for step in policy.steps if isinstance(step, Assign)]
     ages = {step.on.oldest for step in taken if isinstance(step.on, Received)}
+    if uses_every_packet(policy.steps, link):
+        ages = _all_ages(policy, network, link)
     alone = all(by.count(step.signal) == 1 for step in taken)
     held = (alone and all(map(_is_held, taken))) or (None not in ages and (alone or bool(network.nodes[link].measures)))
     held = held and not any(hears(on, link) for on in others)
@@ -127,6 +130,19 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
             "link has arrived; expected no delay, the policy kind excess with actuation = 'hold', or a link without "
             f"acknowledgements ({network.key(link, 'acknowledged')})"
         )
+
+
+def _all_ages(policy: Policy, network: Network, link: str) -> Set[int | None]:
+    """Return the largest age of a packet that a receiver uses that uses all packets of a link; it works once a step."""
+    conditions = [on for on in _conditions(policy) if isinstance(on, Received) and on.link == link]
+    found = {on.of_age for on in conditions}
+    if network.nodes[link].measures is False or None in found:
+        why = "it acts when a packet arrives" if network.nodes[link].measures is False else "it uses the newest one too"
+        raise ProblemError(
+            f"a node of the policy {policy.kind} uses the packets of each age on the {link} link (of_age), but {why}; "
+            "expected a receiver that works once per step and uses the packet of each age, or Received without of_age"
+        )
+    return {max(age for age in found if age is not None)}
 
 
 def _expect_oldest(policy: Policy, network: Network, link: str, ages: Set[int | None]) -> None:

@@ -32,6 +32,7 @@ LATER: Mapping[str, object] = {
     "Trigger.limit": None,
     "Trigger.excluded": {},
     "Received.oldest": None,
+    "Received.of_age": None,
 }  # fields of later versions, which fingerprints omit if so
 DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
 

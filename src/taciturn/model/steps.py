@@ -38,10 +38,14 @@ class Received(Displayed):
 
     With ``oldest``, the outcomes are the ages of the newest packet that arrives: none, sent in this step, sent one step
     ago, …, sent ``oldest`` steps ago. The signals of the packet have the values with which it was sent.
+
+    With ``of_age``, the condition is that the packet of this age arrives in this step, even if a newer one has arrived:
+    on such a link, the receiver uses all packets, and newer ones overtake none.
     """
 
     link: str
     oldest: int | None = None  # largest age in steps that the receiver tells apart; None: it does not know the age
+    of_age: int | None = None  # steps since the packet was sent; None: the newest packet that arrives
 
     @property
     def outcomes(self) -> int:
@@ -244,6 +248,12 @@ def condition_of(step: Step) -> Condition | None:
 def hears(on: Condition | None, link: str) -> bool:
     """Return whether a condition is that a packet arrives on a link."""
     return isinstance(on, Received) and on.link == link
+
+
+def uses_every_packet(steps: Iterable[Step], link: str) -> bool:
+    """Return whether the receiver of a link uses the packet of each age, and not only the newest one."""
+    conditions = (condition_of(step) for step in steps)
+    return any(isinstance(on, Received) and on.link == link and on.of_age is not None for on in conditions)
 
 
 def assigned(step: Step) -> Mapping[str, int]:

@@ -11,7 +11,7 @@
 | is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
 | has set-points of a simulated plant, although an operator has given others | `overruled`, dropped |
-| comes over a link with random delays | waits for the step in which it arrives; the newest one is `used`, an older one `superseded` |
+| comes over a link with random delays | waits for the step in which it arrives; the newest one is `used`, an older one `superseded`, unless the node uses all packets |
 
 An operator does not know the number of the step. So the set-points and manual inputs of an operator take effect in the
 next step, and of two packets that arrive before it, the later one by its sequence number; an earlier one is
@@ -22,7 +22,8 @@ decided by a window over the sequence numbers of its sender, as in IPsec [rfc430
 
 On a link with random delays, a packet has the number of pieces of a period after which it arrives (``Packet.late``), and
 so has its acknowledgement. The step that hears it takes for each piece the newest packet that has arrived, with its
-age, and acknowledges all packets that are newer than those of earlier steps.
+age, and acknowledges all packets that are newer than those of earlier steps. A node that uses all packets, such as a
+filter that includes each measurement at its own step, takes one for each age; an older packet is `late`.
 """  # noqa: E501  # the rows of a ta"""
 
 from __future__ import annotations
@@ -104,6 +105,7 @@ class Stream(Displayed):
     part: int  # part of the step that reads the packets
     pieces: int = 0  # if delays are random: the pieces of a step, in each of which a packet may arrive; otherwise 0
     ages: int = 0  # and of acknowledgements, the number of ages of packets whose arrival is told
+    every: int = 0  # and if the node uses all packets, the number of ages, for each of which the inputs contain one
     kept: bool = False  # whether the last payload remains in effect until another packet arrives, as for set-points
     ordered: bool = False  # whether packets take effect at once, in the order of their sequence numbers
     window: Window = field(default_factory=Window)  # window over the sequence numbers received
@@ -128,7 +130,7 @@ def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
     kept, operated = ("measurement", "setpoint", "manual"), ("setpoint", "manual")
     found = {
         (a.kind, a.link): Stream(
-            a.lag, a.at, a.size, a.part, a.pieces, a.ages, kept=a.kind in kept, ordered=a.kind in operated
+            a.lag, a.at, a.size, a.part, a.pieces, a.ages, a.every, kept=a.kind in kept, ordered=a.kind in operated
         )
         for a in arrivals
     }
@@ -280,11 +282,29 @@ class Inbox:
                 self.counters["used"] += 1
                 inputs[stream.at + wanted - packet.tick] = float(packet.late % stream.pieces)
             return come
+        if stream.every:
+            return self._put_each(stream, come, wanted, inputs)
         newer, used = _put_newest(stream, come, wanted, inputs)
         self.counters["used"] += len(used)
         self.counters["superseded"] += len(come) - len(used)
         stream.newest = max([stream.newest, *used])
         return newer
+
+    def _put_each(self, stream: Stream, come: Sequence[Packet], wanted: int, inputs: list[float]) -> list[Packet]:
+        """Copy the packets that arrive in a step to the inputs of their ages; return those that are not too old."""
+        size, found = 1 + stream.size, list[Packet]()
+        inputs[stream.at : stream.at + stream.every * size] = [0.0] * stream.every * size
+        for packet in come:
+            age = wanted - packet.tick
+            if age >= stream.every:
+                self._miss(stream, packet)
+                continue
+            self.counters["used"] += 1
+            inputs[stream.at + age * size : stream.at + (age + 1) * size] = (1.0, *packet.values)
+            # a packet of a step that this node has missed is heard now
+            found.append(stream.dated(packet, wanted))
+        stream.newest = max([stream.newest, *(one.tick for one in found)])
+        return found
 
     def so_far(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
         """Copy packets as ``collect`` does, but leave them in the inbox, as further ones may arrive in the step."""

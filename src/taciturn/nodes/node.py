@@ -226,6 +226,8 @@ class Node:
         inputs, found = self._inputs, dict[tuple[str, str], Values | None]()
         for one in self._layout.arrivals:
             at = one.at + max(one.pieces - 1, 0) * (1 + one.size) if not one.ages else one.at
+            come = (one.at + age * (1 + one.size) for age in range(one.every))
+            at = next((place for place in come if inputs[place]), at)
             values = inputs[at : at + one.ages] or inputs[at + 1 : at + 1 + one.size]
             found[one.kind, one.link] = tuple(values) if inputs[at] or one.ages else None
         return found

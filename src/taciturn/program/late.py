@@ -8,7 +8,8 @@ stored as the whole number c = d q + i, where the i-th piece begins at r, so tha
     c ≥ q:    it is in flight; its age grows by 1, and c becomes c − q
 
 The newest packet wins: a packet that arrives after a newer one, and all packets older than one that has arrived, are
-dropped (c becomes NEVER). A packet of age j keeps what its signals were when it was sent.
+dropped (c becomes NEVER). If the receiver uses the packet of each age (``Received.of_age``), none is dropped. A packet
+of age j keeps what its signals were when it was sent.
 
 The receiver acts when a packet arrives: an actuator that holds its input changes it at the beginning of a piece
 (``TimeStep.pieces``), and a node that works once per step hears a packet at its next step. A sender that receives
@@ -17,7 +18,8 @@ acknowledgements, what arrived in the step before.
 
 A node that runs apart from the others has no ring: its inputs are the packets that have arrived, for each piece the
 newest one (``Heard``), so that its program selects the same values. Its inbox drops the older ones (``nodes.inbox``).
-The flag of such a packet is 1 plus its age in steps, so that a receiver may use each age in its own way.
+The flag of such a packet is 1 plus its age in steps, so that a receiver may use each age in its own way. A node that
+uses all packets hears them once per step, and its inputs are the packets by their ages in place of pieces.
 """
 
 from __future__ import annotations
@@ -65,10 +67,20 @@ class Ring:
     """The packets on a link that were sent in this step or earlier, and are not yet heard."""
 
     def __init__(
-        self, tick: _Step, link: str, law: DelayLaw, cuts: tuple[float, ...], clocked: bool, told_late: bool
+        self,
+        tick: _Step,
+        link: str,
+        law: DelayLaw,
+        cuts: tuple[float, ...],
+        clocked: bool,
+        told_late: bool,
+        every: bool = False,
     ) -> None:
-        """Begin a step. The law counts in periods; a ``clocked`` receiver hears a packet only once per step."""
-        self.tick, self.link, self.law, self.pieces = tick, link, law, len(cuts)
+        """Begin a step. The law counts in periods; a ``clocked`` receiver hears a packet only once per step.
+
+        It uses ``every`` packet, or only those that no newer one has overtaken.
+        """
+        self.tick, self.link, self.law, self.pieces, self._every = tick, link, law, len(cuts), every
         self.codes = codes_of(law, cuts, clocked)
         self.oldest = int(max(self.codes) // self.pieces)
         self.arrivals = {age: tick.recall(self._arrival(age))[0] for age in self.ages}  # by age; 0 when it is sent
@@ -144,6 +156,14 @@ class Ring:
             by_age.append(sums[age if len(sums) > 1 else 0](packet))
         return [self.newest(by_age, silent, piece) for piece in range(self.pieces)]
 
+    def of_age(self, age: int, sum_of: Sum, silent: Values) -> Values:
+        """Return a sum of the signals in the packet of an age if it arrives in this step, or what it is otherwise."""
+        if age > self.oldest:
+            return silent
+        values = sum_of({name: values[age] for name, values in self.payload.items()})
+        here = self.acted(age, self.pieces - 1)
+        return [self.tick.builder.choose(here, *one) for one in zip(values, silent, strict=True)]
+
     def arrived(self) -> Truth:
         """Return whether a packet arrives in this step."""
         b, found = self.tick.builder, False
@@ -160,7 +180,7 @@ class Ring:
         return found
 
     def end(self) -> None:
-        """Let the packets grow older, and drop those that are older than one that has arrived."""
+        """Let the packets grow older, and drop those that have arrived, or that a newer one has overtaken."""
         if 0 not in self.arrivals:  # the program ends before the packet is sent
             return
         tick, b, newer = self.tick, self.tick.builder, False
@@ -168,7 +188,8 @@ class Ring:
         for age in self._told:
             tick.signals[told_of(self.link, age)] = [self.arrivals[age]]
         for age in range(self.oldest):
-            newer = b.either(newer, self.acted(age, self.pieces - 1))
+            here = self.acted(age, self.pieces - 1)
+            newer = here if self._every else b.either(newer, here)
             code = self.arrivals[age]
             gone = b.either(newer, b.greater(code, NEVER / 2))
             tick.signals[self._arrival(age + 1)] = [b.choose(gone, never, b.emit("add", code, step))]
@@ -177,7 +198,10 @@ class Ring:
 
 
 class Heard:
-    """The packets that a node hears in a step, as inputs of its program: for each piece the newest one, or none."""
+    """The packets that a node hears in a step, as inputs of its program: for each piece the newest one, or none.
+
+    If the node uses all packets, there is one for each age.
+    """
 
     def __init__(self, tick: _Step, link: str, pieces: int, sizes: Mapping[str, int]) -> None:
         """Begin a step; ``sizes`` are the numbers of entries of the signals in a packet."""
@@ -192,10 +216,7 @@ class Heard:
         for piece in range(self.pieces):
             flag = b.input(flag_of(self.link, piece))
             here, values = b.greater(flag, 0.0), silent
-            packet = {
-                name: [b.input(Entry(name, i, self.link, piece)) for i in range(size)]
-                for name, size in self._sizes.items()
-            }
+            packet = self._packet(piece)
             if len(sums) == 1:
                 values = sums[0](packet)
             for age, sum_of in reversed([*enumerate(sums, start=1)] if len(sums) > 1 else []):
@@ -204,11 +225,24 @@ class Heard:
             found.append([b.choose(here, *one) for one in zip(values, silent, strict=True)])
         return found
 
+    def of_age(self, age: int, sum_of: Sum, silent: Values) -> Values:
+        """Return a sum of the signals in the packet of an age if it arrives in this step, or what it is otherwise."""
+        b = self.tick.builder
+        here = b.greater(b.input(flag_of(self.link, age)), 0.0)
+        return [b.choose(here, *one) for one in zip(sum_of(self._packet(age)), silent, strict=True)]
+
+    def _packet(self, place: int) -> dict[str, Values]:
+        """Return the inputs with the signals in the packet of a piece, or of an age if all packets are used."""
+        b = self.tick.builder
+        return {
+            name: [b.input(Entry(name, i, self.link, place)) for i in range(size)] for name, size in self._sizes.items()
+        }
+
 
 def flag_of(link: str, piece: int) -> Name:
     """Return the name of the program input for a packet that has arrived in a step, before a piece ends.
 
-    It is 0 without a packet, and otherwise 1 plus its age in steps.
+    It is 0 without a packet, and otherwise 1 plus its age in steps. Where all packets are used, each age has one.
     """
     return Entry("arrived", 0, link, piece) if piece else Received(link)
 

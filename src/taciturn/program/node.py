@@ -48,6 +48,7 @@ from taciturn.model.steps import (
     assigned,
     condition_of,
     hears,
+    uses_every_packet,
 )
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
@@ -82,6 +83,7 @@ class NodeProgram:
     manual: bool  # whether an operator may give the inputs in place of a controller at the site
     sends: Mapping[str, tuple[str, ...]]  # for each link that begins at the site, the signals of its packet
     pieces: Mapping[str, int]  # pieces of a step in which the receiver of a link hears a packet, if delays are random
+    every: Mapping[str, int]  # number of ages of the packets on a link if the site uses all packets, and not the newest
     acting: int  # pieces of a step in each of which the site may apply another input
 
     @property
@@ -142,8 +144,11 @@ def translate_node(
     inputs_of = [set(program.inputs) for program in programs]
     read = set[Name]().union(*inputs_of)
     sends = {step.link: step.payload for step in policy.steps if isinstance(step, Send)}
-    hears = {link: payload for link, payload in sends.items() if Received(link) in read}
-    late = frozenset[str](link for link in hears if Received(link) not in inputs_of[0])
+    every = {link: network.longest(link, policy.tick) + 1 for link in sends if uses_every_packet(own, link)}
+    every = {link: ages for link, ages in every.items() if link in network.late}
+    flags = {link: {flag_of(link, age) for age in range(every.get(link, 1))} for link in sends}
+    hears = {link: payload for link, payload in sends.items() if read & flags[link]}
+    late = frozenset[str](link for link in hears if not flags[link] & inputs_of[0])
     return NodeProgram(
         site=site,
         parts=programs,
@@ -156,6 +161,7 @@ def translate_node(
         manual=operation is not None and policy.network.controller in site,
         sends={step.link: step.payload for step in own if isinstance(step, Send)},
         pieces={link: count for link, count in pieces.items() if link in sends},
+        every=every,
         acting=acting,
     )
 
@@ -370,6 +376,7 @@ class Arrival(NamedTuple):
     # arrived; or for acknowledgements, the number of ages, for each of which there is one input; otherwise 0
     pieces: int = 0
     ages: int = 0
+    every: int = 0  # number of ages if all packets are used, for each of which the inputs contain its packet
 
 
 class Departure(NamedTuple):
@@ -414,8 +421,9 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         payload = [Entry(signal, i, link) for signal in signals for i in range(sizes[signal])]
         place = len(names), len(payload), int(link in program.late)
         pieces = program.pieces.get(link, 0)
-        arrivals.append(Arrival("data", link, program.lag[link], *place, is_acknowledged(policy, link), pieces))
-        for piece in range(max(pieces, 1)):
+        every, told = program.every.get(link, 0), is_acknowledged(policy, link)
+        arrivals.append(Arrival("data", link, program.lag[link], *place, told, pieces, every=every))
+        for piece in range(every or max(pieces, 1)):
             names += [flag_of(link, piece), *(replace(name, piece=piece) for name in payload)]
     for link in program.acknowledged:
         ages = program.ages.get(link, 0)

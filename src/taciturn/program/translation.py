@@ -44,6 +44,7 @@ from taciturn.model.steps import (
     Step,
     Terms,
     condition_of,
+    uses_every_packet,
 )
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
@@ -157,7 +158,9 @@ class TimeStep:
             law = network.random_delay(link, policy.tick)
             if law is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
                 told_late = network.links[link].acknowledgement_delay > 0
-                self.late[link] = self.rings[link] = Ring(self, link, law, cuts, is_clocked(network, link), told_late)
+                self.late[link] = self.rings[link] = Ring(
+                    self, link, law, cuts, is_clocked(network, link), told_late, uses_every_packet(policy.steps, link)
+                )
 
     def loss_by(self, law: LossLaw | float, name: str) -> Coefficient:
         """Return the loss probability in this step. A memory with the given name holds the state of a bursty law."""
@@ -185,7 +188,7 @@ class TimeStep:
         on = condition_of(step)
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign) and isinstance(on, Received) and on.link in self.late:
-            self._assign_late(step, self.late[on.link])
+            self._assign_late(step, self.late[on.link], on.of_age)
         elif isinstance(step, Assign):
             self._follow_pieces(step)
             values = [self.combine(terms, step.size) for terms in step.branches]
@@ -205,8 +208,11 @@ class TimeStep:
             self._send(step)
         self.listening = {}
 
-    def _assign_late(self, step: Assign, packets: Ring | Heard) -> None:
-        """Assign a signal that the newest packet of a link changes, at the beginning of a piece of the step."""
+    def _assign_late(self, step: Assign, packets: Ring | Heard, age: int | None) -> None:
+        """Assign a signal that the newest packet of a link changes, at the beginning of a piece of the step.
+
+        With an ``age``, the packet of this age changes it.
+        """
         listening, self.listening = self.listening, {}
         silent = self.combine(step.branches[0], step.size)
         self.listening = listening
@@ -215,8 +221,13 @@ class TimeStep:
             self.heard = packet
             return self.combine(terms, step.size)
 
-        self.pieces[step.signal] = packets.assigned([partial(sum_of, one) for one in step.branches[1:]], silent)
-        self.signals[step.signal], self.heard = self.pieces[step.signal][-1], {}
+        sums = [partial(sum_of, one) for one in step.branches[1:]]
+        if age is not None:
+            self.signals[step.signal] = packets.of_age(age, sums[0], silent)
+        else:
+            self.pieces[step.signal] = packets.assigned(sums, silent)
+            self.signals[step.signal] = self.pieces[step.signal][-1]
+        self.heard = {}
 
     def _follow_pieces(self, step: Assign) -> None:
         """Compute the values of a sum in each piece of the step, if it contains a signal that packets change in one."""
@@ -278,6 +289,8 @@ class TimeStep:
 
     def of_ages(self, condition: Condition, silent: Truth) -> list[Truth]:
         """Return the truth values of no packet, and of the ages but the last, if no packet is delayed at random."""
+        if isinstance(condition, Received) and condition.of_age:
+            return [True]
         more = condition.oldest or 0 if isinstance(condition, Received) else 0
         return [silent, *[self.builder.negated(silent)][:more], *[False] * (more - 1)]
 

@@ -2,9 +2,9 @@
 
 A packet that arrives d steps after the step in which it was sent is late by d steps; one that arrives within this step,
 but after its beginning, is late by less than a step. A packet is overtaken if another one that was sent later arrives
-no later: the receiver, which uses the newest packet that it has, never uses it. Shares of late and of overtaken packets
-are those of the packets that arrive. A packet that is lost never arrives. Packets that are still on their way at the
-end of a path are not counted.
+no later: a receiver that uses the newest packet that it has never uses it, but a filter that fuses all packets does.
+Shares of late and of overtaken packets are those of the packets that arrive. A packet that is lost never arrives.
+Packets that are still on their way at the end of a path are not counted.
 
 The age of the data that a receiver uses is the number of steps since the packet with them was sent, which is 0 in the
 step of sending. It is an average over time, also over the parts of a period in which an input acts, from the first

@@ -252,7 +252,15 @@ def _limits(found: Description) -> str:
 def _every_sample(found: Description) -> str:
     whose = "; it is that of the loop of the design, and for this loop it is not known"
     own = "" if not found.violated_assumptions else whose
-    return f"J_all = {found.policy.cost_all_time:.6g} {per_unit(found.unit)}{own}"
+    known = _cost_all_time(found)
+    if known is None:
+        return "J_all is not known in advance: `taciturn evaluate` simulates it"
+    return f"J_all = {known:.6g} {per_unit(found.unit)}{own}"
+
+
+def _cost_all_time(found: Description) -> float | None:
+    policy = found.policy
+    return policy.theory.cost_all_time if isinstance(policy, Policy) else policy.cost_all_time
 
 
 def _gain_lines(found: Description) -> Lines:
@@ -385,12 +393,12 @@ def _verdict(found: Description) -> str:
     policy, links = found.policy, () if found.nodes is None else found.nodes.scheduled
     where = f" on the link{'s' * (len(links) > 1)} {', '.join(links)}" if links else ""
     exact = policy.theory.closed_form if isinstance(policy, Policy) else None
-    base, guarantee = policy.cost_all_time, found.guarantee
+    base, guarantee = _cost_all_time(found), found.guarantee
     if found.violated_assumptions:
         proven = f"no guarantee, since {'; '.join(found.violated_assumptions)}"
     elif exact is not None:
         proven = f"exact cost, {exact.cost:.6g} {per_unit(found.unit)}"
-    elif guarantee is None:
+    elif guarantee is None or base is None:
         proven = "no guarantee"
     elif base > 0:
         above = percent_above(Estimate(guarantee["cost"], 0.0, "bound"), base, 1, signed=False)
@@ -413,7 +421,7 @@ class Description(Result):
         Field("actual", "problem.actual", json=_plant_document, say="", text=_actual_lines),
         Field("cost", _cost, say="", text=_cost_lines),
         Field("limits", "problem.limits.names", optional=True, say="limits", text=_limits),
-        Field("cost_all_time", "policy.cost_all_time", say="every sample", text=_every_sample),
+        Field("cost_all_time", _cost_all_time, say="every sample", text=_every_sample),
         Field("guarantee", say="", text=_guarantee_lines, after="prediction"),
         Field("gains", json=_plain, say="", text=_gain_lines),
         Field("controller", _controller_document, optional=True, say="", text=_controller_lines, after="cost_all_time"),

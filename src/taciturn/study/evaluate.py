@@ -244,7 +244,7 @@ def _evaluated(
         unit=unit,
         base_rate=pace,
         cost=found.cost,
-        cost_all_time=policy.cost_all_time if loop.nominal else None,
+        cost_all_time=policy.theory.cost_all_time if loop.nominal else None,
         statement=None if guarantee is None else guarantee.statement,
         cost_bound=None if guarantee is None else guarantee.cost,
         cost_bound_at_rate=None if sharper is None else sharper.value,

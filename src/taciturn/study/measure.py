@@ -86,10 +86,10 @@ def measure(loop: Loop, request: Request, progress: Progress | None, baseline: L
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
         return Measured(averages, "exact", "a closed form, which needs no computing time", policy.notes)
-    asked, finest = request.standard_error, ROUNDED * abs(policy.cost_all_time)
+    asked, finest = request.standard_error, ROUNDED * abs(policy.theory.cost_all_time or 0.0)
     if asked is not None and asked < finest:
         raise ProblemError(
-            f"standard_error is {asked:g}, but double precision resolves a cost of {policy.cost_all_time:g} "
+            f"standard_error is {asked:g}, but double precision resolves a cost of {policy.theory.cost_all_time:g} "
             f"only to {finest:.2g}; expected at least {finest:.2g}"
         )
     candidates, refused = candidates_of(loop, request, progress, baseline)
@@ -244,7 +244,7 @@ def _run(candidate: Candidate, progress: Progress | None, alone: bool) -> Averag
 def _asked(loop: Loop, standard_error: float | None) -> float:
     """Return the requested error before the cost is known; it is at most ``wanted_error`` for the cost."""
     identity = loop.policy.theory.identity
-    constant = loop.policy.cost_all_time if identity is None else identity.constant
+    constant = (loop.policy.theory.cost_all_time or 0.0) if identity is None else identity.constant
     return wanted_error(Estimate(constant, 0.0, "exact"), standard_error)
 
 

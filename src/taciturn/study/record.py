@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 
 STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
-NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport", "oldest")
+NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval", "delay", "buffer", "transport")
+NONE += ("oldest", "of_age")
 # neutral values that digests do not contain
 LATER: Mapping[str, object] = {
     **dict.fromkeys(NONE),

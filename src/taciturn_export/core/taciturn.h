@@ -61,9 +61,9 @@ extern "C" {
  * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. A link that is
  * with `pieces` delays packets at random: a step reads the newest packet that has arrived since the last step, unless
  * it has read a newer one. If a step has several pieces, these inputs are repeated for each piece, with the newest
- * packet that has arrived before the piece ends. Acknowledgements tell after how many pieces a packet arrived. Then
- * there is an input for each age of a packet, from 0 on: the piece of the step in which it arrived, and TAC_NEVER if in
- * none. */
+ * packet that has arrived before the piece ends. A node that uses all packets has these inputs for each age of a packet,
+ * from 0 on. Acknowledgements tell after how many pieces a packet arrived. Then there is an input for each age: the
+ * piece of the step in which the packet arrived, and TAC_NEVER if in none. */
 typedef struct {
   uint8_t kind;
   uint8_t link;
@@ -74,7 +74,7 @@ typedef struct {
   uint16_t at;
   uint32_t interval; /* largest number of steps between two packets of the sender; 0: not known */
   uint8_t pieces; /* of a step, if the link delays packets at random; otherwise 0 */
-  uint8_t ages; /* of late acknowledgements: number of inputs; otherwise 0 */
+  uint8_t ages; /* of late acknowledgements, and of packets that are all used: number of ages; otherwise 0 */
 } tac_channel_data;
 
 #define TAC_NEVER 1000000

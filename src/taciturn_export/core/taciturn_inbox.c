@@ -145,9 +145,9 @@ static bool sort_by_number(tac_node *node, unsigned i, const tac_packet *packet,
 }
 
 /* Return the number of pieces of a step after which a packet has arrived, as its acknowledgement states it. */
-static uint64_t told_after(const tac_channel_data *data, const tac_packet *packet) {
+static uint64_t told_after(const tac_packet *packet) {
   uint64_t after = 0U;
-  if ((data->ages > 0U) && (packet->values[0] > (tac_real)0)) {
+  if (packet->values[0] > (tac_real)0) {
     after = (packet->values[0] < (tac_real)TAC_NEVER) ? (uint64_t)packet->values[0] : (uint64_t)TAC_NEVER;
   }
   return after;
@@ -155,7 +155,8 @@ static uint64_t told_after(const tac_channel_data *data, const tac_packet *packe
 
 /* Return the step that hears a packet unless it is late; of an acknowledgement, the one in which its packet arrived. */
 static uint64_t due_step(const tac_channel_data *data, const tac_packet *packet) {
-  return packet->tick + ((data->ages > 0U) ? (told_after(data, packet) / data->pieces) : 0U);
+  bool told = (data->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) && (data->ages > 0U);
+  return packet->tick + (told ? (told_after(packet) / data->pieces) : 0U);
 }
 
 /* Store a new packet. */
@@ -384,7 +385,7 @@ static void collect_told(tac_node *node, unsigned i, uint64_t step) {
       miss(node, channel, known);
     } else {
       node->counters.used++;
-      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)(told_after(data, known) % data->pieces);
+      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)(told_after(known) % data->pieces);
     }
   }
 }
@@ -455,6 +456,31 @@ static void put_newest(tac_node *node, unsigned i, uint64_t step, uint64_t ticks
   }
 }
 
+/* Read all packets that have arrived, for each age the one that was sent so many steps ago, and acknowledge them. */
+static void collect_each(tac_node *node, unsigned i, uint64_t step) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  for (unsigned age = 0U; age < data->ages; age++) {
+    put_at(data, NULL, node->inputs, data->at + (age * (1U + data->entries)));
+  }
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    const tac_packet *known = &channel->waiting[place];
+    if (!channel->waits[place] || (known->tick > step)) {
+      continue;
+    }
+    channel->waits[place] = false;
+    if ((step - known->tick) >= data->ages) {
+      miss(node, channel, known);
+      continue;
+    }
+    node->counters.used++;
+    put_at(data, known, node->inputs, data->at + ((unsigned)(step - known->tick) * (1U + data->entries)));
+    tell_once(node, i, place, step, tac_count_ticks(node));
+    channel->newest = (known->tick >= channel->newest) ? (known->tick + 1U) : channel->newest;
+  }
+  channel->missing = count_missing(&channel->window);
+}
+
 /* Read the newest packets that have arrived, unless a step has read newer ones. */
 static void collect_late(tac_node *node, unsigned i, uint64_t step) {
   tac_channel *channel = &node->channels[i];
@@ -500,6 +526,8 @@ static void collect_several(tac_node *node, unsigned i, uint64_t tick) {
     collect_kept(node, i, tick);
   } else if (data->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
     collect_told(node, i, tick - data->lag);
+  } else if (data->ages > 0U) {
+    collect_each(node, i, tick - data->lag);
   } else {
     collect_late(node, i, tick - data->lag);
   }

@@ -462,7 +462,8 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   clear(node->outputs, data->output_count);
   for (unsigned i = 0U; i < data->channel_count; i++) {
     (void)memset(&node->channels[i], 0, sizeof node->channels[i]);
-    for (unsigned age = 0U; age < data->channels[i].ages; age++) {
+    const bool told = data->channels[i].kind == (uint8_t)TAC_ACKNOWLEDGEMENT;
+    for (unsigned age = 0U; told && (age < data->channels[i].ages); age++) {
       node->inputs[data->channels[i].at + age] = (tac_real)TAC_NEVER;
     }
   }
