@@ -72,6 +72,7 @@ Flight: TypeAlias = "tuple[Packet, ...]"
 Fates: TypeAlias = list[tuple[tuple[Fate, ...], float]]
 """Fates of a packet at all receivers, with their probabilities."""
 MOST_MODES = 512  # of one receiver and one state of the link: delays of up to 9 periods
+MOST_OUTCOMES = 30_000  # of steps in all modes
 MOST_ENTRIES = 2_000_000  # of all P_I
 MOST_MOMENTS = 150_000  # fourth moments of all modes
 MOST_STEPS = 20_000  # of a horizon until the best gains repeat
@@ -283,6 +284,7 @@ def chain_of(
                     places[after] = len(modes)
                     modes.append(after)
             ways[sent].append([(chance, path, places[after]) for chance, path, after in found])
+            _expect_few_outcomes(sum(len(step) for steps in ways.values() for step in steps), depth)
         _expect_few(modes, len(plant.noise) + m * (depth + 1), depth)
     motions, kept = dict[tuple[Sent, Path], Motion](), dict[tuple[Sent, Path, int], tuple[Array, Array]]()
     outcomes: dict[Sent, tuple[tuple[Outcome, ...], ...]] = {}
@@ -317,6 +319,16 @@ def _gain(K: Array, plant: Periods, depth: int) -> Array:
         f"the gain has the shape {K.shape}; expected ({m}, {n + m}) for the state and the held inputs, or "
         f"({m}, {n + m * (depth + 1)}) with the commands of the last {number_of(depth, 'step')}"
     )
+
+
+def _expect_few_outcomes(found: int, depth: int) -> None:
+    """Raise an error if the packets in flight may arrive in too many different ways."""
+    if found > MOST_OUTCOMES:
+        raise ProblemError(
+            f"packets that arrive up to {number_of(depth, 'period')} late may arrive in more than {MOST_OUTCOMES} ways "
+            "within a period; expected fewer different delays (such as whole periods, or a histogram with few rows), a "
+            "longer period, or a buffer"
+        )
 
 
 def _expect_few(modes: Sequence[Mode], size: int, depth: int) -> None:

@@ -271,8 +271,8 @@ class _Knowledge:
                 )
             if isinstance(condition, Acted) and condition.link not in self.sent:
                 raise InformationError(
-                    f"the node {at} uses the times of arrival on the {condition.link} link before it sends, but no node "
-                    "knows a delay in advance; expected this after its packet, at the end of the step"
+                    f"the node {at} uses the times of arrival on the {condition.link} link before it sends, but no "
+                    "node knows a delay in advance; expected this after its packet, at the end of the step"
                 )
             if self.network.links[condition.link].acknowledged is False:
                 key = self.network.key(condition.link, "acknowledged")
