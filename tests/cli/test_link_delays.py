@@ -52,7 +52,7 @@ def linked(law: str) -> str:
         ("buffer = -1", "links.valve.buffer is -1; expected a whole number of steps, or a table {seconds = x}"),
         ("buffer = [1]", "links.valve.buffer is [1]; expected a whole number of steps, or a table {seconds = x}"),
         ("delays = 1", "links.valve.delays is not a known key; expected one of"),
-        ("delay = {seconds = 0.1}", "a link has a delay of 0.1 seconds, but the plant is discrete in time; expected"),
+        ("delay = {seconds = 0.1}", "links.valve.delay is 100 ms, but the plant is discrete in time; expected"),
         ("delay = 300", "the delays of the links need more than 200 registers"),
         (
             "delay = [0.5, 0.5]",

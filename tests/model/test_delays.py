@@ -411,11 +411,24 @@ def test_a_network_tells_its_delays() -> None:
     assert stated.plant.transport.text() == "input 1 1 step late, output 1 2 steps late"
 
 
+def test_seconds_that_are_whole_steps_are_steps_of_a_discrete_plant() -> None:
+    """With plant.dt, so that a plant that is discrete in time can use measured delays; also buffers."""
+    plant = TABLES["plant"]
+    drawn = {"delay": {"seconds": [0.0, 0.2], "probability": [0.5, 0.4]}}
+    made = parse({**TABLES, "plant": plant, "links": {"pump": drawn, "level-1": {"buffer": {"seconds": 0.3}}}}, "x")
+    law = made.network.links["pump"].delay
+    assert law is not None
+    assert (law.waits, law.odds, law.in_seconds) == ((0.0, 2.0), ((0.5, 0.4),), False)
+    assert made.network.links["level-1"].buffer == Wait(3)
+    with pytest.raises(ProblemError, match=r"links.pump.delay is 150 ms, but .* or of the 0.1 s of plant.dt"):
+        parse({**TABLES, "plant": plant, "links": {"pump": {"delay": {"seconds": 0.15}}}}, "x")
+
+
 @pytest.mark.parametrize(
     ("tables", "links", "words"),
     [
-        (TABLES, {"pump": {"delay": {"seconds": 0.1}}}, "delay of 0.1 seconds, but the plant is discrete in time"),
-        (TABLES, {"level-1": {"buffer": {"seconds": 0.1}}}, "discrete in time; expected a whole number"),
+        (TABLES, {"pump": {"delay": {"seconds": 0.15}}}, "links.pump.delay is 150 ms, but the plant is discrete"),
+        (TABLES, {"level-1": {"buffer": {"seconds": 0.15}}}, "links.level-1.buffer is 150 ms, but the plant is"),
         (TABLES, {"pump": {"delay": 1000}}, "need more than 200 registers for earlier inputs and outputs; expected"),
         (TABLES, {"level-1": {"delay": 150}, "pump": {"delay": 60}}, "need more than 200 registers"),
         (CONTINUOUS, {"pump": {"delay": {"seconds": 1e9}}}, "need more than 200 registers .* a longer period"),

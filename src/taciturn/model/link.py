@@ -195,6 +195,25 @@ class LinkLaw(Displayed):
         """
         return "ideal" if self.acknowledged is None else "tcp" if self.acknowledged else "udp"
 
+    def in_steps(self, step: float) -> LinkLaw:
+        """Return the link with delays and buffer in steps instead of seconds, for a plant with such steps.
+
+        Raises:
+            ProblemError: one of them is no whole number of steps.
+        """
+        law, buffer = self.delay, self.buffer
+        if law is not None and law.in_seconds:
+            found = law.in_periods(step)
+            if any(wait % 1.0 for wait in found.waits):
+                raise ProblemError(_apart_from_steps("delay", law.text(), step))
+            law = found
+        if buffer is not None and buffer.seconds:
+            periods = buffer.periods(step)
+            if periods % 1.0:
+                raise ProblemError(_apart_from_steps("buffer", buffer.text(), step))
+            buffer = Wait(int(periods))
+        return replace(self, delay=law, buffer=buffer)
+
     @property
     def intervals(self) -> dict[str, int | None]:
         """Smallest and largest allowed number of steps from one send to the next, by the name of the key."""
@@ -270,6 +289,13 @@ class LinkLaw(Displayed):
         played = self.played()
         told = f"{self.protocol}, drops {percent(played.mean_loss)}{' in bursts' if played.burst else ''}"
         return "; ".join((told, *self.lateness()))
+
+
+def _apart_from_steps(name: str, told: str, step: float) -> str:
+    return (
+        f"{name} is {told}, but the plant is discrete in time; expected whole numbers of steps, or of the {step:g} s "
+        "of plant.dt, or a plant that is continuous in time (omit plant.dt)"
+    )
 
 
 IDEAL_LINK = LinkLaw()

@@ -612,7 +612,19 @@ def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Networ
     network = _graph_of(file) if file.nodes or file.links else _usual_of(file.network or NetworkTable(), kind)
     if any(law.energy is not None for law in network.links.values()) and isinstance(plant, Plant) and plant.dt is None:
         raise ProblemError("the energy of a packet is given without plant.dt; expected plant.dt, the seconds per step")
-    return network
+    return network if not isinstance(plant, Plant) or plant.dt is None else _in_steps(network, plant.dt)
+
+
+def _in_steps(network: Network, step: float) -> Network:
+    """Return a network whose delays in seconds are those in steps of a discrete plant."""
+    links = dict[str, LinkLaw]()
+    for name, law in network.links.items():
+        try:
+            links[name] = law.in_steps(step) if law.timed else law
+        except ProblemError as error:
+            key, _, rest = str(error).partition(" ")
+            raise ProblemError(f"{network.key(name, key)} {rest}") from None
+    return replace(network, links=links)
 
 
 def _usual_of(table: NetworkTable, kind: Kind) -> Network:
