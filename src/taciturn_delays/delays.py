@@ -425,6 +425,16 @@ def read_delays(
             f"all packets in {str(path)!r} are lost; expected at least one delivered packet: check that the "
             "receiver runs"
         )
+    if found.route != "round trip" and round_trip == "whole":
+        raise ProblemError(
+            f"round_trip is 'whole', but {str(path)!r} has no round trips; expected it only with requests and answers: "
+            "leave it out"
+        )
+    if found.route != "two computers" and synchronised:
+        raise ProblemError(
+            f"synchronised times are stated, but {str(path)!r} does not compare the times of two computers; expected "
+            "this only with such times: leave out --synchronised"
+        )
     if found.route == "two computers" and not synchronised:
         return _compared(Path(path), found, least)
     if least:

@@ -217,7 +217,7 @@ class FlightSteps(Displayed):
 
     def _in_flight(self, key: tuple[int, int]) -> str:
         """Return the name of the decision whether a packet is in flight, by its receiver and age."""
-        return f"{self.nodes.named(f'packet {key[1]}', self.nodes.all[key[0]].node)} is in flight"
+        return self.nodes.named(f"packet {key[1]} in flight", self.nodes.all[key[0]].node)
 
     def selected(
         self,

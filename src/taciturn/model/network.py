@@ -438,10 +438,10 @@ class Network(Displayed):
             losses = {
                 link: f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
                 for link, law in self.played().links.items()
-                if not law.ideal
+                if not law.ideal and (law.mean_loss or law.delay is None)  # a law of delay may lose packets itself
             }
             if len(protocols) == 1:
-                text = f"{self.protocol}{TOLD[self.protocol]}; {', '.join(losses.values())}"
+                text = f"{self.protocol}{TOLD[self.protocol]}" + "; " * bool(losses) + ", ".join(losses.values())
             else:
                 text = ", ".join(f"{lost}{TOLD[self.links[link].protocol]}" for link, lost in losses.items())
         if self.delay:

@@ -147,7 +147,7 @@ class Words:
 
     def plain(self, name: str) -> str:
         """Write the name of a signal or decision in words, without the name of the node at its end."""
-        return re.sub(r" if$", "", self._node.split(name, maxsplit=1)[0].replace("_", " ").strip())
+        return re.sub(r" (if|to)$", "", self._node.split(name, maxsplit=1)[0].replace("_", " ").strip())
 
     def symbol(self, name: str) -> str:
         """Return the symbol of a signal in formulas or, if it has none, its words."""
