@@ -61,7 +61,7 @@ extern "C" {
  * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. A link that is
  * with `pieces` delays packets at random: a step reads the newest packet that has arrived since the last step, unless
  * it has read a newer one. If a step has several pieces, these inputs are repeated for each piece, with the newest
- * packet that has arrived before the piece ends. A node that uses all packets has these inputs for each age of a packet,
+ * packet that has arrived before the piece ends. A node that uses all packets has these inputs for each packet's age,
  * from 0 on. Acknowledgements tell after how many pieces a packet arrived. Then there is an input for each age: the
  * piece of the step in which the packet arrived, and TAC_NEVER if in none. */
 typedef struct {
