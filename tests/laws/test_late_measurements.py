@@ -226,7 +226,10 @@ def test_outputs_that_arrive_at_once_have_the_exact_cost(acknowledged: bool | No
             {"network.protocol": "udp", "network.actuator_loss": 0.0, "network.actuator_delay": [0.5, 0.5]},
             "network.actuator_delay is random",
         ),
-        ({"network.sensor_delay": {"seconds": [0.0, 0.13], "probability": [0.5, 0.5]}}, "but the plant is discrete in time"),
+        (
+            {"network.sensor_delay": {"seconds": [0.0, 0.13], "probability": [0.5, 0.5]}},
+            "but the plant is discrete in time",
+        ),
         ({"plant.V": [[0.0]]}, r"plant.V has the eigenvalue 0"),
         ({"network.sensor_delay": [0.04] * 25}, "keep 50 entries of states; expected at most 48"),
         ({"plant.C": None, "plant.V": None, "plant.input_limit": 1.0}, "the inputs have limits"),
