@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -123,24 +123,26 @@ class Histories(Displayed):
         tried, flight = told[first : first + links], told[first + links :]
         found = dict[bytes, tuple[Any, Any]]()  # state and squared error of the measurement, by what moves the state
         active: list[Any] = []
+        errors: list[Any] = []
         for way in self.ways:
             if way.moved.tobytes() not in found:
                 prior = self.A @ estimate + way.moved @ commands
-                gap = measured - self.C @ prior
+                gap: Any = measured - self.C @ prior
                 found[way.moved.tobytes()] = prior + self.gain @ gap, gap @ (self.precision @ gap)
             flag: Any = 1.0
             for signal, wanted in zip((*tried, *flight), (*way.tried, *way.flight), strict=True):
                 flag = flag * (signal[0] if wanted else 1.0 - signal[0])
             active.append(flag > 0.5)
-        errors: list[Any] = [found[way.moved.tobytes()][1] for way in self.ways]
+            errors.append(found[way.moved.tobytes()][1])
         least: Any = FAR
-        for flag, error in zip(active, errors, strict=True):
-            least = np.where(flag, np.minimum(least, error), least)
+        for i, flag in enumerate(active):
+            least = cast("Any", np.where(flag, np.minimum(least, errors[i]), least))
         total: Any = 0.0
         costs: list[Any] = [0.0] * len(self.ways[0].psi)
-        for way, flag, error in zip(self.ways, active, errors, strict=True):
+        for k, way in enumerate(self.ways):
             # relative to the best history, so that some weight is not zero
-            weight = np.where(flag, way.chance * np.exp(-0.5 * np.where(flag, error - least, 0.0)), 0.0)
+            further = np.where(active[k], errors[k] - least, 0.0)
+            weight = np.where(active[k], way.chance * np.exp(-0.5 * further), 0.0)
             z = np.concatenate([found[way.moved.tobytes()][0], measured, *register, way.kept @ commands])
             total = total + weight
             for i, (Psi, psi) in enumerate(zip(way.Psi, way.psi.tolist(), strict=True)):
