@@ -161,14 +161,9 @@ def send_for_given(
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
 
-    def for_interval(steps: int) -> Base:
-        observer = lqg_observer(kind, discretise(stated, cost, period), steps, zero=actuation == "zero")
-        other = GivenLoop.of(stated, cost, period, observer, True)
-        known = other.problem.filter() if copied else None
-        return route_over(link, other.problem, other.controller, actuation, lossy, known, start).base
-
     # without losses, fair periodic control has the best gains of any cycle
-    held = for_interval if lossy and lqg is not None and actuation != "model" else None
+    alike = lossy and lqg is not None and actuation != "model"
+    held = HeldFor(kind, stated, cost, period, actuation, link, start) if alike else None
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit, slopes)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
@@ -232,6 +227,26 @@ def send_for_given(
         notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
         unsure=unacknowledged,
     )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeldFor(Displayed):
+    """The base of LQG whose gains are optimal for an input that lasts for a number of steps, over a lossy link."""
+
+    kind: str
+    plant: Plant | ContinuousPlant
+    cost: Cost
+    period: float | None
+    actuation: LoopActuation
+    link: str
+    start: Array  # state of the controller at the start
+
+    def __call__(self, steps: int) -> Base:
+        """Return the base for packets at every q-th step."""
+        problem = discretise(self.plant, self.cost, self.period)
+        observer = lqg_observer(self.kind, problem, steps, zero=self.actuation == "zero")
+        other = GivenLoop.of(self.plant, self.cost, self.period, observer, True)
+        return route_over(self.link, other.problem, other.controller, self.actuation, True, None, self.start).base
 
 
 def total_excess(
