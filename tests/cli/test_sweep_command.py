@@ -37,7 +37,7 @@ def test_a_result_of_another_grid_is_kept_under_a_name_of_its_own(run: Run, writ
     assert xarray.load_dataset(tmp_path / "s" / "result.nc", engine="h5netcdf").sizes == {"theta": 2}
     told, again = swept("0.1,1")
     assert again == aside
-    assert told.startswith(f"taciturn: 2 of 2 cells are read from {store}; 1 other answers in it are for other values")
+    assert told.startswith(f"taciturn: 2 of 2 cells: read from {store}; 1 other answers in it are for other values")
     assert told.count("\n") == 1
 
 

@@ -127,7 +127,11 @@ def send_at_fixed_steps(
     found, whole = loop.value(route.base)
     proved = controller_loop(problem, loop.controller).cost() if plant.changes is None else None
     nominal = loop.nominal(whole, found.settling, route.base if average else None, proved)
-    costs = nominal.cost if every else advantage(route.base, loop.remedy, Attempts(pattern)).cost
+    # between packets, a model predicts from the last one
+    between = route.base
+    if steady is not None:
+        between = route_over(link, problem, loop.controller, actuation, False, steady, loop.point.start).base
+    costs = nominal.cost if every else advantage(between, loop.remedy, Attempts(pattern)).cost
     sends = Form() if every else _turn(np.array(pattern))
     decide = Decide(route.node, SEND, Trigger({"silent": Form(constant=float(every)), SEND: sends}))
     steps = (*estimation.correct, *route.steps((decide,), estimation.predict))
@@ -136,7 +140,7 @@ def send_at_fixed_steps(
         claims = Theory(
             closed_form=ClosedForm(problem.per_unit(costs), {link: len(intervals) / len(pattern)}),
             covers=THEORY,
-            periodic=SameControl(loop, route.base),
+            periodic=SameControl(loop, between),
         )
     return nominal.policy(
         kind,

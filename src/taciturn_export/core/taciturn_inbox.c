@@ -385,7 +385,8 @@ static void collect_told(tac_node *node, unsigned i, uint64_t step) {
       miss(node, channel, known);
     } else {
       node->counters.used++;
-      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)(told_after(known) % data->pieces);
+      uint64_t piece = told_after(known) % data->pieces;
+      node->inputs[data->at + (unsigned)(step - known->tick)] = (tac_real)piece;
     }
   }
 }
@@ -446,7 +447,8 @@ static void put_newest(tac_node *node, unsigned i, uint64_t step, uint64_t ticks
     }
     put_at(data, packet, node->inputs, data->at + (piece * (1U + data->entries)));
     if (packet != NULL) { /* a receiver may use the packet by its age */
-      node->inputs[data->at + (piece * (1U + data->entries))] += (tac_real)(step - packet->tick);
+      uint64_t age = step - packet->tick;
+      node->inputs[data->at + (piece * (1U + data->entries))] += (tac_real)age;
     }
   }
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
