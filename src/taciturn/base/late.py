@@ -275,6 +275,7 @@ def chain_of(
     modes = [Mode(link, ()) for link in range(len(delays.turns))]
     places = {mode: i for i, mode in enumerate(modes)}
     ways: dict[Sent, list[list[tuple[float, Path, int]]]] = {sent: [] for sent in actions}
+    count = 0  # of outcomes
     for mode in modes:  # which grows
         check_time()
         for sent in actions:
@@ -284,7 +285,8 @@ def chain_of(
                     places[after] = len(modes)
                     modes.append(after)
             ways[sent].append([(chance, path, places[after]) for chance, path, after in found])
-            _expect_few_outcomes(sum(len(step) for steps in ways.values() for step in steps), depth)
+            count += len(found)
+            _expect_few_outcomes(count, depth)
         _expect_few(modes, len(plant.noise) + m * (depth + 1), depth)
     motions, kept = dict[tuple[Sent, Path], Motion](), dict[tuple[Sent, Path, int], tuple[Array, Array]]()
     outcomes: dict[Sent, tuple[tuple[Outcome, ...], ...]] = {}

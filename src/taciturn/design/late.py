@@ -39,7 +39,7 @@ from taciturn.base.late import fourth_growth
 from taciturn.base.nominal import Nominal
 from taciturn.base.route import MEASURED, NEXT, REGISTER, nonempty
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.late_base import Gain, LateBase, PeriodicPackets
+from taciturn.design.late_base import Gain, LateBase, PeriodicPackets, acknowledged_links
 from taciturn.design.late_belief import Histories, Way
 from taciturn.design.late_flight import BELIEF, COSTS, LAST, TRIED, FlightSteps
 from taciturn.design.several_nodes import (
@@ -84,8 +84,7 @@ def late_excess(
     best: bool = False,
 ) -> Policy:
     """Return the policy that sends iff silence costs more than the price, over links with random delays and losses."""
-    informs = next(link for link in network.actuators if link in network.links and network.acknowledges(link))
-    told = network.lateness(informs)
+    told = network.lateness(acknowledged_links(network)[0])
     refused = {
         "the cost has a horizon or a discount; expected an average cost": cost.mission,
         "plant.D is given; expected outputs without a direct feedthrough": plant.D is not None,
@@ -143,7 +142,7 @@ class _ActuatorSteps(FlightSteps):
 
     def steps(self) -> tuple[tuple[Step, ...], dict[str, Array]]:
         """Return the policy steps, and the initial values of their memories."""
-        plant, at, depth, given = self.problem.plant, self.at, self.depth, self.given
+        plant, at, given = self.problem.plant, self.at, self.given
         unit = np.eye(plant.inputs)
         if self.nodes.told_late:
             return self._steps_told_late()
@@ -163,10 +162,7 @@ class _ActuatorSteps(FlightSteps):
             before += [Assign(at, COMMAND, nonempty({REGISTER: c.C, MEASURED: c.D})), *in_flight]
         watched = self.watched()
         rest = [*self.acting(COMMAND), *self.tried(), *watched.after]
-        for age in range(depth, 1, -1):
-            rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2]: unit}))
-        if depth:
-            rest.append(self.by_set(self.sent[0], unit, COMMAND))
+        rest += self.aged(COMMAND)
         if not plant.full_state:
             effects = [plant.B] if self.pieces is None else np.split(self.pieces.B, self.count, axis=1)
             rest.append(Assign(at, "prior", {ESTIMATE: plant.A, **dict(zip(self.pieced, effects, strict=True))}))
@@ -214,7 +210,7 @@ class _ActuatorSteps(FlightSteps):
         rest.append(Assign(at, HELD, {self.pieced[-1]: unit}))
         for age in range(depth, 0, -1):
             rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2] if age > 1 else LAST: unit}))
-        rest += [self.by_set(LAST, unit, COMMAND), *self.tried()]
+        rest += [self.by_set(LAST, COMMAND), *self.tried()]
         begun = plant.mean - plant.B @ given.point.before
         first: Array = np.asarray(np.linalg.lstsq(plant.A, begun, rcond=None)[0], dtype=np.float64)
         initial: dict[str, Array] = {ESTIMATE: first}

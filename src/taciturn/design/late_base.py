@@ -59,9 +59,13 @@ PARTS = 64  # of a period, in which delays are tried that would be short enough
 
 def informed(network: Network) -> bool:
     """Return whether acknowledgements tell when packets arrived that are late or, on several links, may be lost."""
-    links = [node for node in network.actuators if node in network.links]
-    some = network.late if not decides_on_sets(network) else links
-    return any(link in some and network.acknowledges(link) for link in links)
+    told = acknowledged_links(network)
+    return bool(told if decides_on_sets(network) else set(told).intersection(network.late))
+
+
+def acknowledged_links(network: Network) -> tuple[str, ...]:
+    """Return the links to actuators whose packets are acknowledged."""
+    return tuple(node for node in network.actuators if node in network.links and network.acknowledges(node))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -218,12 +222,14 @@ class PeriodicPackets(Displayed):
 
     def _every_sample(self, steps: int) -> list[float | None]:
         """Return the costs if the controller still computes at every step."""
-        chain, problem, gains = self.closed.found.chain, self.closed.loop.problem, [self.closed.K]
+        chain, problem = self.closed.found.chain, self.closed.loop.problem
+        chains = [chain]
         if self.base.kept is None and steps > 1:
             with suppress(UnstableError):  # holding an input for so long may prevent stabilisation
-                gains.append(self.base.gain(self.closed.nodes, chain.plant, chain.delays, steps))
-        rows = [tuple(one.rows) for one in self.closed.nodes.all]
-        costs = [periodic_cost(chain_of(chain.plant, K, chain.delays, rows), steps) for K in gains]
+                K = self.base.gain(self.closed.nodes, chain.plant, chain.delays, steps)
+                rows = [tuple(one.rows) for one in self.closed.nodes.all]
+                chains.append(chain_of(chain.plant, K, chain.delays, rows))
+        costs = [periodic_cost(one, steps) for one in chains]
         return [None if cost is None else cost - problem.noise_cost for cost in costs]
 
     def _longer(self, steps: int) -> float | None:

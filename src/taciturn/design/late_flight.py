@@ -136,9 +136,17 @@ class FlightSteps(Displayed):
             return Acknowledged(one.node), (False, True)
         return SEND, tuple(one.node in sent for sent in self.nodes.sets)
 
-    def by_set(self, name: str, unit: Array, value: str) -> Step:
+    def aged(self, value: str) -> list[Step]:
+        """Return the steps by which the last values grow older, and a new one is taken up."""
+        unit = np.eye(self.found.chain.plant.inputs)
+        found: list[Step] = [
+            Assign(self.at, self.sent[age - 1], {self.sent[age - 2]: unit}) for age in range(self.depth, 1, -1)
+        ]
+        return [*found, self.by_set(self.sent[0], value)] if self.depth else found
+
+    def by_set(self, name: str, value: str) -> Step:
         """Return the step that takes up those entries of a value that are sent, and keeps the others."""
-        branches = list[dict[str, Array]]()
+        branches, unit = list[dict[str, Array]](), np.eye(self.found.chain.plant.inputs)
         for sent in self.nodes.sets:
             new = self.nodes.chosen(self.nodes.sent(sent))
             branches.append(nonzero({name: unit - new, value: new}))

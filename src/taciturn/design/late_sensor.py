@@ -143,10 +143,7 @@ class _SensorSteps(FlightSteps):
             initial |= dict.fromkeys((NEXT, "state"), self.given.point.start)
         (acting,) = self.pieced
         rest = [*self.acting(MEASURED), *self.tried(), *watched.after]
-        for age in range(self.depth, 1, -1):
-            rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2]: unit}))
-        if self.depth:
-            rest.append(self.by_set(self.sent[0], unit, MEASURED))
+        rest += self.aged(MEASURED)
         rest.append(Assign(at, HELD, nonempty({REGISTER: c.C, acting: c.D})))
         if k:
             rest.append(Assign(at, NEXT, {REGISTER: c.A, acting: c.B, HELD: c.E}))

@@ -32,7 +32,7 @@ from taciturn.base.route import CANDIDATE, Actuation, Ahead
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.late import late_excess
-from taciturn.design.late_base import informed
+from taciturn.design.late_base import acknowledged_links, informed
 from taciturn.design.late_sensor import late_measurements, tells_sensor
 from taciturn.design.silence import drops, send_for_given, total_excess, unsure
 from taciturn.errors import ProblemError
@@ -151,10 +151,9 @@ def excess(
     if informed(links):
         best = gains == "loss-optimal"
         if (link, every, retry, actuation) != ("actuator", 1, False, "hold") or plan:
-            acknowledged = next(node for node in links.actuators if links.acknowledges(node))
             raise ProblemError(
-                f"{links.lateness(acknowledged)}, with acknowledgements; expected link = 'actuator', every = 1, "
-                "actuation = 'hold', no retry and no plan, or a buffer"
+                f"{links.lateness(acknowledged_links(links)[0])}, with acknowledgements; expected link = 'actuator', "
+                "every = 1, actuation = 'hold', no retry and no plan, or a buffer"
             )
         if best and (controller is not None or design_delay is not None):
             stated = "a controller" if design_delay is None else "design_delay"
