@@ -46,6 +46,12 @@ LAWS: dict[str, tuple[int, Problem]] = {
             }
         ),
     ),
+    "contributions of sensors": (
+        1000,
+        taciturn.load("quadruple-tank").changed(
+            {"links.level-1.delay": [0.4, 0.2, 0.1, 0.2], "links.level-2.delay": [0.3, 0.6]}
+        ),
+    ),
     "late states": (2000, late_sensor(**STATES)),
     "fused": (2000, late_sensor()),
     "fused, rounded": (2000, late_sensor(**{"network.payload": "float32"})),

@@ -250,6 +250,60 @@ def test_an_actuator_moves_the_loop_of_a_given_controller() -> None:
         assert actuator.step(4 + age).input == pytest.approx(kept.C @ r + kept.D @ y)
 
 
+@pytest.mark.parametrize("prediction", ["hold", "model"])
+def test_a_controller_moves_late_contributions_of_sensors_to_the_present(prediction: str) -> None:
+    """Every input of two sensors with different laws, from what each packet says, one step at a time since it was sent.
+
+    With a model, a sensor's own filter foresees what it would have measured. Its noise has the part of the inputs that
+    the estimation error of all sensors causes.
+    """
+    laws = {"level-1": [0.4, 0.2, 0.1, 0.2], "level-2": [0.3, 0.6]}
+    changes: dict[str, Any] = {f"links.{link}.delay": law for link, law in laws.items()}
+    shares = {"level-1": 1.0, "level-2": 0.5, "pump-1": 0.0, "pump-2": 0.0}  # the pumps always hear the controller
+    problem = taciturn.load("quadruple-tank").changed({**changes, "prediction": prediction, "shares": shares})
+    policy, discrete = problem.design(), discretise(problem.plant, problem.cost, 2.0)
+    loop, plant = problem.close(policy), discrete.plant
+    assert loop.violated_assumptions
+    records = record(loop, STEPS, 3, fast=False)
+    gains = Gains.of(plant, Cost(discrete.Q, discrete.R, discrete.N))
+    A, B, C, L, G = plant.A, plant.B, plant.C, gains.L, gains.filter
+    left, closed = np.eye(plant.states) - G @ C, A + B @ L
+    prior = la.solve_discrete_are(A.T, C.T, plant.W, plant.V)
+    noise = plant.W + B @ L @ left @ prior @ L.T @ B.T
+    y, u, after = column(records, "y"), column(records, "applied"), delays(loop, records)
+    used, models = ({link: np.zeros(plant.states) for link in laws} for _ in range(2))
+    newest, packets = dict.fromkeys(laws, -1), {link: list[tuple[np.ndarray, np.ndarray]]() for link in laws}
+    parts, local = ({link: np.zeros(plant.states) for link in laws} for _ in range(2))
+    own, commands = np.zeros(plant.states), list[np.ndarray]()
+    for k in range(STEPS):
+        for i, link in enumerate(laws):
+            P = la.solve_discrete_are(closed.T, C[[i]].T, noise, plant.V[i : i + 1, i : i + 1])
+            gain = P @ C[[i]].T / (C[[i]] @ P @ C[[i]].T + plant.V[i, i])
+            parts[link] = left @ A @ parts[link] + G[:, i] * y[k, i]
+            local[link] = closed @ local[link] + gain[:, 0] * (y[k, i] - C[i] @ closed @ local[link])
+            packets[link].append((parts[link], local[link]))
+
+            def foreseen(part: np.ndarray, model: np.ndarray, i: int = i) -> tuple[np.ndarray, np.ndarray]:
+                model = closed @ model
+                return left @ A @ part + (G[:, i] * (C[i] @ model) if prediction == "model" else 0.0), model
+
+            sent = records[Sent(link)][:, 0] > 0
+            come = [s for s in range(newest[link] + 1, k + 1) if sent[s] and s + after[link][s] == k]
+            if come:
+                newest[link] = max(come)
+                state = packets[link][newest[link]]
+                for _ in range(newest[link], k):
+                    state = foreseen(*state)
+            else:
+                state = foreseen(used[link], models[link])
+            used[link], models[link] = state
+        commands.append(L @ (own + sum(used.values())))
+        own = left @ (A @ own + B @ commands[-1])
+    found = np.array(commands)
+    assert all(10 < (records[Sent(link)][:, 0] > 0).sum() < STEPS for link in laws)
+    assert np.abs(found - u).max() <= 1e-9 * np.abs(u).max()
+
+
 def test_what_cannot_be_predicted_is_refused_by_name() -> None:
     """Limits, horizons, acknowledgements, other routes, longer delays, and policies that do not know ages."""
     plant, cost, network = Plant([[1.1]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]]), late_network([0.5, 0.5])

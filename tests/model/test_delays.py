@@ -435,8 +435,8 @@ def test_seconds_that_are_whole_steps_are_steps_of_a_discrete_plant() -> None:
         (CONTINUOUS, {"pump": {"buffer": {"seconds": 1e300}}}, "need more than 200 registers"),
         (CONTINUOUS, {"level-1": {"delay": {"seconds": 1e300}}}, "need more than 200 registers"),
         (
-            TABLES, {"level-1": {"delay": [0.5, 0.5]}},
-            "links.level-1.delay is random, but .*; expected a constant delay",
+            TABLES, {"level-1": {"delay": [0.5, 0.5], "acknowledged": True}},
+            "links.level-1.delay is random, but the policy distributed needs to know .*; expected no delay",
         ),
     ],
 )  # fmt: skip

@@ -42,6 +42,11 @@ DEAD_BANDS = {
     **{"kind": "send-on-delta", "theta": None, "prediction": None, "actuation": None},
     **{"delta": 0.4, "shares": {"level-1": 2.0}},
 }
+CONTRIBUTIONS: dict[str, dict[str, object]] = {
+    "level-1": {"delay": [0.4, 0.2, 0.1, 0.2], "payload": "float32"},
+    "level-2": {"delay": [0.3, 0.6]},
+    "pump-1": {"delay": [0.5, 0.4]},
+}
 TRACED = {"sequence": (0, 0, 1, 3, 0, 2, 1, 3, 3, 0), "block": 4.0}
 
 
@@ -127,6 +132,10 @@ def loops() -> dict[str, Callable[[], Loop]]:
         "predicted by a controller at an operating point": lambda: heard(
             {"plant.operating_point": {"x": [1.0, 0.0, 0.0, 0.0], "u": [3.0]}, "network.payload": "float32"}
         ),
+        "contributions of sensors": lambda: predicting(CONTRIBUTIONS),
+        "contributions of sensors that predict nothing": lambda: closed(taciturn.load("quadruple-tank").changed({
+            "prediction": "hold", "links.level-1.delay": {"seconds": [0.5, 3], "probability": [0.6, 0.3]},
+        })),
         "late states": lambda: measured_late(**STATES),
         "late states, inputs lost unnoticed": lambda: measured_late(**STATES, **{"network.protocol": "udp"}),
         "late measurements, fused": measured_late,

@@ -155,9 +155,10 @@ class ContributionSteps(Displayed):
 
     def _receive(self, node: str) -> tuple[Step, ...]:
         at, expected = self.network.controller, f"predicted_{node}"
+        oldest = self.network.longest(node, self.certainty.problem.tick)
         return (
             *self._silent(node, at, "used", expected),
-            *self._updated(node, at, "used", expected, Received(node)),
+            *self._updated(node, at, "used", expected, Received(node, oldest or None), oldest),
         )
 
     def _silent(self, node: str, at: str, copy: str, expected: str) -> tuple[Step, ...]:
@@ -165,20 +166,39 @@ class ContributionSteps(Displayed):
         decayed = {f"{copy}_{node}": self._left @ self._plant.A}
         if self.prediction == "hold":
             return (Assign(at, expected, decayed),)
-        _, gain, outputs = self._sensors[node]
         model = f"{copy}_model_{node}"
         return (
             Assign(at, model, {model: closed_loop(self.certainty)}),
-            Assign(at, expected, {**decayed, model: gain @ self._plant.C[outputs]}),
+            Assign(at, expected, {**decayed, model: self._measured(node)}),
         )
 
-    def _updated(self, node: str, at: str, copy: str, expected: str, on: Condition) -> tuple[Step, ...]:
-        """Return the steps of one end of a link that set the copy, and its model, to those of a packet."""
-        n, model = np.eye(self._plant.states), f"{copy}_model_{node}"
-        steps = (Assign(at, f"{copy}_{node}", ({expected: n}, {f"part_{node}": n}), on),)
+    def _updated(
+        self, node: str, at: str, copy: str, expected: str, on: Condition, oldest: int = 0
+    ) -> tuple[Step, ...]:
+        """Return the steps of one end of a link that set the copy, and its model, to those of a packet.
+
+        A packet that was sent up to ``oldest`` steps ago is moved to the present, as in silence since then. An older
+        contribution may not be used as it is: the measurements since would count as zero, also those of its own past.
+        """
+        n, model, part, local = np.eye(self._plant.states), f"{copy}_model_{node}", f"part_{node}", f"local_{node}"
+        moves, closed = self._left @ self._plant.A, closed_loop(self.certainty)
+        parts: list[dict[str, Array]] = [{part: n}]
+        models: list[dict[str, Array]] = [{local: n}]
+        for _ in range(oldest):
+            models.append({local: closed @ models[-1][local]})
+            parts.append({name: moves @ matrix for name, matrix in parts[-1].items()})
+            if self.prediction == "model":
+                told = self._measured(node) @ models[-1][local]
+                parts[-1][local] = parts[-1].get(local, 0.0) + told
+        steps = (Assign(at, f"{copy}_{node}", ({expected: n}, *parts), on),)
         if self.prediction == "hold":
             return steps
-        return (*steps, Assign(at, model, ({model: n}, {f"local_{node}": n}), on))
+        return (*steps, Assign(at, model, ({model: n}, *models), on))
+
+    def _measured(self, node: str) -> Array:
+        """Return the part G_s C_s of the contribution of a sensor that the present state causes."""
+        _, gain, outputs = self._sensors[node]
+        return gain @ self._plant.C[outputs]
 
     def _local(self, node: str) -> Step:
         """Return the step of the Kalman filter of x⁺ = (A + BL)x + w̌ from the measurements of one sensor.

@@ -121,8 +121,9 @@ def expect_held(policy: Policy, network: Network, link: str) -> None:
         raise ProblemError(
             f"{told}, but a node of the policy {policy.kind} that receives packets on the {link} link does more than "
             "to hold their last value, and would have to know how old a packet is; expected a constant delay, "
-            f"{network.key(link, 'buffer')}, a policy whose receiver holds (such as actuation = 'hold'), or one "
-            "that is designed for this link and predicts (excess or distributed with actuation = 'model')"
+            f"{network.key(link, 'buffer')}, a policy whose receiver holds (such as actuation or prediction = 'hold'), "
+            "or one that is designed for this link and knows the age of packets (distributed for an average cost, or "
+            "excess, with actuation = 'model')"
         )
     if Acknowledged(link) in (others + [step.on for step in policy.steps if isinstance(step, Assign)]):
         raise ProblemError(
