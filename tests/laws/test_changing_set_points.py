@@ -136,6 +136,22 @@ def test_a_controller_that_cannot_reach_set_points_is_told_what_it_lacks() -> No
         design.distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.5, controller=[[0.5]])
 
 
+@pytest.mark.parametrize("seed", [197, *few(range(190), 3)])
+def test_a_set_point_that_a_gain_cannot_hold_has_no_cost(seed: int) -> None:
+    """Rounding may let the mode of a set-point decay (in 197), and the sum of infinite costs was then some number."""
+    draws = np.random.default_rng(seed)
+    A, B, C, D = (draws.standard_normal((2, 2)) for _ in range(4))
+    D = np.diag([D[0, 0], 0.0]) if seed % 2 else D
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    A, B, C, D = (np.round(one, 4) for one in (A, B, C, D))
+    while np.abs(np.linalg.eigvals(A - B @ D @ C)).max() > 0.95:
+        D /= 2
+    plant = Plant(A, B, 0.1 * np.eye(2), C, 0.1 * np.eye(2))
+    resting = follow(plant, C, (0.0, 0.0), [], RandomSteps(0.0, np.eye(2)))
+    with pytest.raises(UnstableError, match="eigenvalue 1; expected"):
+        design.excess(resting, Cost(np.eye(2), np.eye(2)), theta=0.3, controller=D)
+
+
 def test_a_feedthrough_is_named_where_a_given_controller_follows_set_points(tmp_path: Path) -> None:
     """The file lists no outputs of set-points, so none of these is at fault."""
     text = """

@@ -45,6 +45,7 @@ Fate: TypeAlias = tuple[float, Array, Array]
 Cycle: TypeAlias = Sequence[Sequence[Sequence[Fate]]]
 """The fates of each step and channel state."""
 DOUBLINGS = 64
+LONGEST = 45  # doublings in which a mode of modulus 1 − 1e-12 decays
 CONVERGED = 1e-14  # relative change of the value within a doubling of the horizon
 LARGEST = 1e100  # a larger value has diverged
 SEEN = 1e-9  # share of a mode in the value below which the cost does not depend on it
@@ -363,12 +364,15 @@ def _doubled(F: Array, M: Array) -> tuple[Array, float]:
     """Return the sum of F'^k M F^k by doubling the horizon, and the modulus of the slowest mode that it depends on."""
     P, step = M, F
     size = float(np.abs(P).max(initial=0.0))
-    for _ in range(DOUBLINGS):
+    for _ in range(LONGEST):
         check_time()
         added = symmetrised(step.T @ P @ step)
         P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
         if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
             break
+    else:
+        # a mode that does not decay in so many steps is 1 up to rounding, and the sum is what rounding made of infinity
+        return P, np.inf
     if size > LARGEST:
         return P, np.inf
     modes, vectors = np.linalg.eig(F)
