@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
+from counts import few
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -40,7 +41,7 @@ def test_every_packet_has_one_mark_in_its_lane() -> None:
     assert "5 of 9" in [text.get_text() for text in axis.texts]
 
 
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("style", few(STYLES, 1))
 def test_a_key_is_above_its_panel_and_within_the_figure(style: StyleName) -> None:
     """However many entries it has, on as many lines as they need; panels below each other keep their distance."""
     many = [Series(LINE.x, LINE.y, f"series number {i}", thing=i) for i in range(8)]
@@ -57,7 +58,7 @@ def test_a_key_is_above_its_panel_and_within_the_figure(style: StyleName) -> Non
     assert title.y0 >= figure.axes[0].get_legend().get_window_extent().y1 - 1
 
 
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("style", few(STYLES, 1, 1))
 def test_the_name_of_a_flat_panel_is_left_of_its_numbers(style: StyleName) -> None:
     """Upright, and for each of several panels whose numbers have different widths."""
     flat = [Panel([Series(LINE.x, [0.0, size, -size])], ylabel="level-1", height=0.55) for size in (0.5, 1000.0)]
@@ -101,6 +102,7 @@ def test_an_end_of_an_axis_that_is_not_given_follows_from_the_series() -> None:
     assert 9.0 < axis.get_ylim()[1] < 10.0
 
 
+@pytest.mark.evidence
 def test_columns_share_axes_and_one_key() -> None:
     """Each row has equal y axes, each column equal x axes; the names are those of both, once."""
     other = Series([0.0, 4.0], [0.0, 9.0], "another curve", thing="periodic control")
@@ -126,7 +128,7 @@ def test_notes_of_points_are_nearer_to_their_own_point_than_to_others() -> None:
         assert np.argmin(np.linalg.norm(places - middle, axis=1)) == k
 
 
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("style", few(STYLES, 1, 2))
 def test_the_note_of_a_point_with_a_ring_is_written_among_many_curves(style: StyleName) -> None:
     """Where no place is free, across them; the notes of other points are left out there."""
     x = [0.02 * k for k in range(51)]

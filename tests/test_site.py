@@ -152,6 +152,7 @@ def test_a_figure_shows_itself_in_a_notebook() -> None:
     assert figure._repr_png_().startswith(b"\x89PNG")
 
 
+@pytest.mark.evidence
 def test_a_picture_on_a_page_has_the_colours_that_the_reader_prefers() -> None:
     """Every colour of the light style is a variable with a value for dark pages."""
     panel = Panel([Series([0.0, 1.0], [1.0, 0.0], "one", thing="policy")], "x", "y", bands=[Band(None, 0.5)])

@@ -98,7 +98,8 @@ def _of_link(table: Table, rows: list[int], link: str) -> Reading:
             f"the file {str(table.path)!r} has only rows sent of the link {quoted(link)}; expected rows delivered, "
             "late or lost as well: add the log of the receiver to the record"
         )
-    notes = (f"{unknown} packets without an outcome count as lost",) if unknown else ()
+    packets = "1 packet without an outcome counts" if unknown == 1 else f"{unknown} packets without an outcome count"
+    notes = (f"{packets} as lost",) if unknown else ()
     return ordered(f"packets of the link {link}", np.array(sent), np.array(elapsed), "one way", 0, notes)
 
 

@@ -22,6 +22,7 @@ def with_policy(folder: Path, name: str, policy: str) -> str:
     return str(path)
 
 
+@pytest.mark.evidence
 def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
     """The parameter that meets the budget, then what evaluate prints, then the parameter with its error."""
     answer = run("tune", "two-mass-lqg", "--rate", "0.3", "--standard-error", "1e-3")

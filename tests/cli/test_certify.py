@@ -72,6 +72,7 @@ def test_what_cannot_be_certified_is_one_sentence(run: Run, write: Write, policy
     assert "expected" in sentence or "missing" in sentence
 
 
+@pytest.mark.evidence
 def test_a_policy_without_ticks_is_one_sentence(run: Run, write: Write) -> None:
     """A trigger in continuous time has no map from step to step."""
     plant = "[plant]\nA = [[0.5]]\nB = [[1.0]]\n[plant.jumps]\nrate = 2.0\ncovariance = [[1.0]]\n"

@@ -20,6 +20,7 @@ import taciturn
 SENDS = ["--copies", "20", "--capacity", "4", "--steps", "2000"]
 
 
+@pytest.mark.evidence
 def test_it_prints_one_document(run: Run) -> None:
     """Sum of the costs, the bound below it, the load within the capacity, the best clock above it."""
     answer = run("channel", "wiener-double-integrator", *SENDS, "--json")

@@ -137,6 +137,7 @@ def test_a_full_disk_is_told_in_one_sentence() -> None:
     assert "No space left on device" in done.stderr
 
 
+@pytest.mark.evidence
 def test_a_terminal_without_mathematics_still_gets_its_text(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Letters that its encoding lacks are escaped."""
     monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
@@ -246,6 +247,7 @@ def test_dotted_names_change_the_tables_of_the_file(run: Run, write: Write) -> N
     assert values == [{"policy.theta": 0.1, "plant.dt": 0.5}, {"policy.theta": 1, "plant.dt": 0.5}]
 
 
+@pytest.mark.evidence
 def test_tradeoff_draws_a_picture(run: Run, write: Write, tmp_path: Path) -> None:
     """Next to the table; a folder in its place is refused in a sentence."""
     picture = tmp_path / "ünï.svg"

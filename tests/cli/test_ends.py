@@ -24,7 +24,7 @@ EDGES = {
 EVALUATED = {"lqg": '[policy]\nkind = "lqg"\ntheta = 0.5', "all": ALL_TIME, "two": PERIODIC}
 
 
-@pytest.mark.parametrize("of", few(product(EVALUATED, EDGES), 5), ids=" ".join)
+@pytest.mark.parametrize("of", few(product(EVALUATED, EDGES), 3), ids=" ".join)
 def test_the_edges_of_what_is_legal_give_numbers(run: Run, write: Write, of: tuple[str, str]) -> None:
     """Finite costs within the guarantee, and lines that fit a screen."""
     policy, plant = EVALUATED[of[0]], EDGES[of[1]]

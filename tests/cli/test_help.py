@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import typer.main
 from cli.conftest import Run
+from counts import few
 
 import taciturn
 from taciturn.cli import frame
@@ -94,7 +95,7 @@ def test_commands_that_print_results_print_methods_on_request() -> None:
     }
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", few(COMMANDS, 12))
 def test_the_example_of_a_command_is_one(run: Run, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Its words are those that the command takes, and every file that it reads is a built-in problem."""
     command = typer.main.get_group(app).commands[name]
@@ -117,7 +118,7 @@ def test_help_and_version_are_also_commands_and_short_options(run: Run) -> None:
     assert run("version").out == run("--version").out == run("-V").out == f"{taciturn.__version__}\n"
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", few(COMMANDS, 6))
 def test_whole_numbers_may_have_an_exponent(name: str) -> None:
     """For every option that is a whole number, and only there: a text remains as it is typed."""
     command = typer.main.get_group(app).commands[name]

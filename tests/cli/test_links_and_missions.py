@@ -137,6 +137,7 @@ def test_too_many_losses_over_a_horizon_are_told_with_the_critical_value(ask: Ru
     assert found["cost_bound"] is not None
 
 
+@pytest.mark.evidence
 def test_bursts_show_no_bound_and_say_why(ask: Run) -> None:
     """The design knows their mean only."""
     network = '[network]\nprotocol = "udp"\n' + BURST

@@ -35,6 +35,7 @@ def number_after(line: str, words: str) -> float:
     return float(line.partition(words)[2].split()[0])
 
 
+@pytest.mark.evidence
 def test_evaluate_prints_a_lower_bound_and_a_verdict(run: Run, write: Write) -> None:
     """What is sent, what it costs, and the proofs on both sides are those of the document."""
     file = write(policy=EXCESS)
@@ -58,6 +59,7 @@ def test_evaluate_prints_a_lower_bound_and_a_verdict(run: Run, write: Write) -> 
     assert low < document["rates"]["actuator"]["value"] < high
 
 
+@pytest.mark.evidence
 def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist() -> None:
     """Next to a point without one; the figure has none if the bounds belong to controllers that differ."""
     masses = taciturn.load("two-mass")
@@ -76,6 +78,7 @@ def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist() -> None:
     assert sure not in [text.get_text() for text in mixed.plot().axes[0].texts]
 
 
+@pytest.mark.evidence
 def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Write) -> None:
     """By default of a policy that resets an error, with the confidence that is asked for, and never at 0."""
     file = write(policy=EXCESS)

@@ -234,6 +234,7 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, typed: str, monkeypatch:
         assert report["cost"]["value"] >= running > 0  # and what the last state costs
 
 
+@pytest.mark.evidence
 def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
     """A line per step to a file and to a UDP port, with the fields that the page names."""
     listener = Endpoint(("127.0.0.1", 0))

@@ -378,6 +378,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_asked(ask: 
     assert "expected" in run("new", name).sentence
 
 
+@pytest.mark.evidence
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
 def test_at_a_real_terminal_ctrl_c_keeps_the_answers(tmp_path: Path) -> None:
     """A wrong answer is asked again; Ctrl-C ends with a sentence, exit code 130 and a file of answers."""

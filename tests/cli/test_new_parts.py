@@ -38,6 +38,7 @@ def test_a_tank_with_a_pid_and_two_batteries(ask: Ask) -> None:
     assert taciturn.load("new.toml").network.links["level"].battery == 9000
 
 
+@pytest.mark.evidence
 def test_nodes_may_share_signals_and_others_are_wired(ask: Ask) -> None:
     """Their number or their names, and the numbers of their signals from 1; what is left is at the controller."""
     found = tables(ask, *TANKS, "", "1", "2", "nodes losses", "left", "2", "a b", "0.1", "0.2", "0", "yes", "1", "")

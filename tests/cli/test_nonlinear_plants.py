@@ -145,6 +145,7 @@ def test_a_function_that_decides_by_its_numbers_is_told_how_to_say_it(run: Run, 
     assert "np.where" in told
 
 
+@pytest.mark.evidence
 def test_what_the_theory_of_linear_plants_serves_is_refused(run: Run, write: Write, tmp_path: Path) -> None:
     """Certificates, exact methods and lower bounds; cost against rate stands without the periodic curve."""
     path = write(plant(tmp_path), policy='[policy]\nkind = "excess"\ndelta = 0.1\nactuation = "model"\n')

@@ -192,6 +192,7 @@ OTHER = replace(KIND, name="other", design=of_another_name)
 """
 
 
+@pytest.mark.evidence
 def test_what_a_registered_design_makes_of_a_problem_is_checked(tmp_path: Path) -> None:
     """An error, another value, a policy of another kind, and plants and costs that the record does not list."""
     env = problems(tmp_path)

@@ -249,6 +249,7 @@ def test_a_terminal_without_boxes_gets_plain_ones(run: Run, monkeypatch: pytest.
     assert drawn.startswith("+-----")
 
 
+@pytest.mark.evidence
 def test_the_packets_of_the_nodes_are_printed_for_other_languages(run: Run, write: Write) -> None:
     """``--wire``: one JSON document with fingerprint, packets and computations; refused where there are no nodes."""
     told = run("show", "two-mass", "--wire")

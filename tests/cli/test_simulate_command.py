@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from conftest import Run
 
 
+@pytest.mark.evidence
 def test_a_path_is_the_one_that_python_simulates(run: Run, tmp_path: Path) -> None:
     """As JSON, as a table, as a picture, and on the terminal within 80 columns."""
     table, picture = tmp_path / "path.csv", tmp_path / "path.svg"
@@ -35,6 +36,7 @@ def test_a_path_is_the_one_that_python_simulates(run: Run, tmp_path: Path) -> No
     assert "<svg" in picture.read_text()
 
 
+@pytest.mark.evidence
 def test_another_control_is_simulated_versus_a_policy(run: Run, tmp_path: Path) -> None:
     """Periodic control, or that of a file, on the same noise, in a figure of a style."""
     picture = tmp_path / "both.pdf"

@@ -59,6 +59,7 @@ def test_a_given_controller_has_the_delay_margin_of_its_eigenvalues() -> None:
     assert told in str(steps)
 
 
+@pytest.mark.evidence
 def test_random_delays_have_one_too() -> None:
     """With losses and acknowledgements; a later law is refused with the time by which packets come too late."""
     law = {"seconds": [0.0, 0.05], "probability": [0.5, 0.4]}

@@ -191,6 +191,7 @@ def twin(folder: Path, faults: Sequence[str] = ("light@1+0.6=0.4", "controller@2
     return file
 
 
+@pytest.mark.evidence
 def test_the_file_of_a_twin_shows_both_policies_and_the_faults(tmp_path: Path) -> None:
     """Times of faults become steps."""
     found = read_recording([twin(tmp_path)], None).document()

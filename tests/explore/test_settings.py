@@ -158,6 +158,7 @@ def test_a_control_refuses_what_an_address_refuses(given: object) -> None:
     assert answers.settle("problem=two-mass", {}, {"seed": "7"})["text"] == "problem=two-mass&seed=7"
 
 
+@pytest.mark.evidence
 def test_the_verdict_and_the_notes_are_those_of_the_library(tmp_path: Path) -> None:
     """Line by line, also on the plant as written; a first answer says that it is on another plant."""
     tank = Path(str(files("taciturn") / "problems" / "pid-tank.toml")).read_text(encoding="utf-8")
@@ -301,6 +302,7 @@ def test_every_answer_of_a_setting_is_data_of_the_library() -> None:
     assert settled["curve"] == "problem=two-mass"
 
 
+@pytest.mark.evidence
 def test_a_point_of_a_curve_is_an_evaluation_of_a_loop_that_has_settled() -> None:
     """With more steps where it needs them; a point that does not settle is not drawn."""
     answers = Answers()

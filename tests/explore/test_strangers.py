@@ -43,6 +43,7 @@ def test_a_request_of_another_page_or_without_the_token_is_refused(
     assert call(page, ROUTES[path], path, body, {**JSON, **with_token(page), **headers})[0] == 403
 
 
+@pytest.mark.evidence
 def test_200_connections_and_a_client_that_never_reads_do_not_stop_the_answers(page: Served) -> None:
     """The answers to a move arrive while they are open, and the route of files answers."""
     with ask(page, "/begin"), asking(page), strangers(page, {"127.0.0.1": 200}) as found:

@@ -107,6 +107,7 @@ def test_the_bundle_has_every_export_that_its_modules_import() -> None:
             assert set(names.split(", ")) <= set(exports[1].split(", ")), (module, names)
 
 
+@pytest.mark.evidence
 def test_a_widget_answers_the_messages_of_its_page() -> None:
     """Its trait is the setting, and a request of the page is answered by messages with its number."""
     widget, told = taciturn.explore("two-mass"), list[dict[str, Any]]()

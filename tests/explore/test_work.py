@@ -39,6 +39,7 @@ def processes() -> set[int]:
     return {process.pid for process in multiprocessing.active_children() if process.pid is not None}
 
 
+@pytest.mark.evidence
 def test_a_job_that_is_no_longer_wanted_stops(pool: Pool) -> None:
     """It stops when the library next checks the time, and its worker answers another job."""
     pool.submit("a", "settle", "problem=two-mass", {}, {}).result(PATIENCE)

@@ -185,6 +185,7 @@ def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make
     instance.close()
 
 
+@pytest.mark.evidence
 def test_a_unit_names_the_set_point_that_is_too_large_and_the_page_lists_all_variables(make: Make) -> None:
     """Set-points are counted by themselves, after the measurements."""
     loop, _, folder = make("set-points", "3.0")
@@ -333,6 +334,7 @@ def test_a_unit_is_the_same_whenever_it_is_made(make: Make, tmp_path: Path) -> N
     assert len(tokens) == 3
 
 
+@pytest.mark.evidence
 def test_losses_are_inputs_only_where_packets_may_be_lost(make: Make) -> None:
     """Of an ideal network nothing can be lost."""
     ideal, lossy = Instance(make("two-mass-lqg", "3.0")[2]), Instance(make(LOSSY, "3.0")[2])
@@ -345,6 +347,7 @@ def test_losses_are_inputs_only_where_packets_may_be_lost(make: Make) -> None:
     lossy.close()
 
 
+@pytest.mark.evidence
 def test_delays_are_inputs_only_where_packets_are_delayed_at_random(make: Make, tmp_path: Path) -> None:
     """In whole steps that the unit can wait; within a period, the input would change between two steps of a unit."""
     loop, _, folder = make("delays", "3.0")

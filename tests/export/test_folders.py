@@ -73,7 +73,7 @@ def write(folder: Path, found: CFolder) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", few(SOME, 3))
+@pytest.mark.parametrize("name", few(SOME, 1))
 def test_nodes_in_c_decide_as_the_design(name: str, tmp_path: Path) -> None:
     """Schedules, draws, memories, finite-horizon runs, losses, acknowledgements, bells, several labels: 500 steps."""
     loop = build(name)
@@ -158,6 +158,7 @@ def test_a_wrong_bit_is_found(tmp_path: Path) -> None:
         assert "expected" in line
 
 
+@pytest.mark.evidence
 def test_one_node_is_exported_and_the_others_check_it(tmp_path: Path) -> None:
     """Its library holds that node alone; the other ones are the self-check's."""
     found = print_folder(two_mass(), "two_mass", nodes=["actuator"])

@@ -63,7 +63,7 @@ LAWS: dict[str, tuple[int, Problem]] = {
 }
 
 
-@pytest.mark.parametrize("name", few([*LAWS], 7))
+@pytest.mark.parametrize("name", few([*LAWS], 3))
 def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_path: Path) -> None:
     """Nodes that exchange datagrams, which the exchange holds for the delays of the recorded loop."""
     rows, problem = LAWS[name]
@@ -79,6 +79,7 @@ def test_the_self_check_compares_every_bit_of_a_run_with_delays(name: str, tmp_p
     assert f"{rows} steps compared, every decision and every bit of the input agrees" in done.stdout
 
 
+@pytest.mark.evidence
 def test_a_delay_of_another_number_of_steps_is_found(tmp_path: Path) -> None:
     """The self-check fails if one packet of its recording comes a step later."""
     problem = pendulum()
@@ -96,6 +97,7 @@ def test_a_delay_of_another_number_of_steps_is_found(tmp_path: Path) -> None:
     assert f"step {first}: the input of the plant is" in done.stdout
 
 
+@pytest.mark.evidence
 def test_a_saved_state_has_the_packets_that_are_to_be_acknowledged(tmp_path: Path) -> None:
     """Of one step that has heard two packets: the acknowledgements of the node that goes on are those of the host."""
     problem = pendulum()
@@ -127,6 +129,7 @@ def several() -> Loop:
     return taciturn.close(problem.plant, problem.design(), problem.network.changed(laws))
 
 
+@pytest.mark.evidence
 def test_the_self_check_compares_several_nodes_of_which_one_acts_within_periods(tmp_path: Path) -> None:
     """The inputs of an actuator without random delays are compared once per step, and those of the other per piece."""
     found = print_folder(several(), "tanks", rows=1000)

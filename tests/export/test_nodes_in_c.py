@@ -230,7 +230,7 @@ def play(found: Case, events: list[tuple], seed: int) -> Pair:
     return pair
 
 
-@pytest.mark.parametrize("place", few(places(), 4), ids=str)
+@pytest.mark.parametrize("place", few(places(), 2), ids=str)
 @given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=15)
 def test_a_node_in_c_does_and_counts_what_the_host_does(
@@ -273,7 +273,7 @@ def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -
 
 
 @pytest.mark.parametrize(
-    "sleep", few(product(["ideal", "lossy", "told", "delayed"], [9_000, 10_001, 25_000]), 3), ids=str
+    "sleep", few(product(["ideal", "lossy", "told", "delayed"], [9_000, 10_001, 25_000]), 1), ids=str
 )
 def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(sleep: tuple[str, int]) -> None:
     """Up to 10,000 steps are gone through again, and the newest packet of each link is sent."""
@@ -283,6 +283,7 @@ def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(sleep: tuple[str
             play(case(name, role, 0), [("step", 1)] * 3 + [("step", gap), *[("step", 1)] * 3], 1)
 
 
+@pytest.mark.evidence
 @all_or_some
 def test_a_packet_of_a_later_epoch_supersedes_one_of_its_tick(every: int) -> None:
     """A sender that began anew has smaller sequence numbers, and is believed."""

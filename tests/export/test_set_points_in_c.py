@@ -95,6 +95,7 @@ def test_set_points_after_lost_packets_break_no_memory(tmp_path: Path, key: byte
         assert found["unproven"] > 150
 
 
+@pytest.mark.evidence
 def test_set_points_of_a_running_sender_are_believed() -> None:
     """Also after a restart with a smaller epoch; the recording of the former epoch is then of no use."""
     device = Device(library(), KEY, 9)

@@ -463,6 +463,7 @@ class Sinusoids(Changes):
         return Signal(S, np.zeros((4, 4)), np.array([0.0, 1.0, 0.0, 0.4]), F=np.array([[-1.0, 0.0, -1.0, 0.0]]))
 
 
+@pytest.mark.evidence
 def test_a_form_of_set_point_is_one_signal(tmp_path: Path) -> None:
     """Design, simulation, nodes and C code follow it, also about an operating point, and to follow it costs nothing."""
     compiler, cost = needs_compiler(), Cost([[1.0, 0.0], [0.0, 0.0]], [[0.1]])

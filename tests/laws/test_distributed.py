@@ -127,7 +127,7 @@ def with_thresholds(deltas: tuple[float, ...]) -> Loop:
     return close(plant, policy)
 
 
-@pytest.mark.parametrize("deltas", REFERENCE)
+@pytest.mark.parametrize("deltas", few(REFERENCE, 3))
 def test_the_reference_of_two_masses(deltas: tuple[float, ...]) -> None:
     """Costs, rates and bounds of an independent simulation."""
     cost, error, rates, spread, bound, at_rates = REFERENCE[deltas]
@@ -160,6 +160,7 @@ def test_a_better_prediction_only_sends_less() -> None:
     assert rates["model"] < rates["hold"]
 
 
+@pytest.mark.evidence
 def test_losses_that_are_acknowledged_keep_the_identity_and_no_bound() -> None:
     """The identity is the plain average; without acknowledgements there is neither identity nor bound."""
     plant, cost, network = two_masses()
@@ -216,6 +217,7 @@ def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, 
     assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error
 
 
+@pytest.mark.evidence
 def test_j_all_is_that_of_an_attempt_on_every_link() -> None:
     """A few systems."""
     over(lambda drawn: j_all_is_that_of_an_attempt_on_every_link(*drawn), 3, drawn=lossy_designs())

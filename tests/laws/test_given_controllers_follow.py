@@ -202,6 +202,7 @@ def test_rates_around_a_change_are_told() -> None:
     assert f"within {around.window:.3g} s after a change" in str(found)
 
 
+@pytest.mark.evidence
 def test_rates_after_a_change_are_counted_on_another_way() -> None:
     """Nodes in Python, one path after another, from rest."""
     read = problem(PID_TABLE, STEPS)

@@ -239,6 +239,7 @@ def test_nonsense_is_refused(law: dict[str, int], expected: str) -> None:
             taciturn.load("two-mass").changed({f"links.actuator.{name}": value for name, value in law.items()})
 
 
+@pytest.mark.evidence
 def test_limits_of_another_design_and_of_a_link_without_packets_are_refused() -> None:
     """Nodes do not ignore the limits of their network; a decision on sets needs a label for every set."""
     policy = taciturn.load("two-mass").changed({"links.actuator.max_interval": 5}).design()

@@ -34,6 +34,7 @@ def test_delays_in_bursts_are_not_independent_ones_with_the_same_mean() -> None:
     assert true.violated_assumptions == ()
 
 
+@pytest.mark.evidence
 def test_a_filter_that_does_not_learn_what_acts_has_no_claim() -> None:
     """Without acknowledgements, and without the delay in the design; with losses alone, it needs acknowledgements."""
     late = pendulum({"theta": 0.1, "delta": None})

@@ -109,6 +109,7 @@ def test_sending_every_step_is_the_base() -> None:
         periodic(40)
 
 
+@pytest.mark.evidence
 def test_the_comparison_at_the_same_rate_is_fair() -> None:
     """It costs more than the policy, and no more than the policy's own gains with periodic packets."""
     law = {"network.protocol": "tcp", "network.actuator_delay": [0.2, 0.3, 0.5], "network.actuator_loss": 0.1}

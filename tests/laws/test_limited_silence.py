@@ -145,7 +145,7 @@ def forecast(z: np.ndarray, wanted: np.ndarray, before: np.ndarray, loop: tuple[
     return total + float(z @ P @ z)
 
 
-@pytest.mark.parametrize("limits", few(LIMITS, 2))
+@pytest.mark.parametrize("limits", few(LIMITS, 1))
 @pytest.mark.parametrize("name", ["LQG", "LQG, two inputs", "controller in states"])
 def test_silence_costs_what_ten_steps_of_both_choices_differ_by(name: str, limits: str) -> None:
     """Each decision of a path is that of stage costs which are summed here, and of a value by other equations."""

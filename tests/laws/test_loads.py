@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from scipy.linalg import expm
 
 from taciturn import Nodes, average, evaluate, simulate
@@ -98,7 +99,7 @@ def own_path(problem: Problem, load: dict[str, Any], steps: int) -> tuple[np.nda
     return np.array(states), np.array(inputs), cost / (steps * h)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", few(CASES, 7))
 def test_a_path_under_a_load_is_that_of_the_plant_as_written(case: str) -> None:
     """States, inputs, and the integral of the cost between the samples too."""
     load, changes = CASES[case]

@@ -230,6 +230,7 @@ def test_with_a_discount_the_fourth_moments_count_with_its_square() -> None:
         assert finite or not found.trusted
 
 
+@pytest.mark.evidence
 def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:
     """With the slow disturbance of its integrator, whose slow mode the cost hardly sees."""
     tank = Plant([[1, 0.1], [0, 0.9]], [[0], [0.1]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=0.1)

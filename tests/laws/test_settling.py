@@ -162,6 +162,7 @@ def test_rates_of_a_loop_that_seldom_sends_are_those_after_a_long_warm_up(seeds:
     assert abs(rate - 0.006350) <= SURE * np.hypot(error, 0.000003)
 
 
+@pytest.mark.evidence
 def test_a_loop_that_settles_within_the_steps_is_not_refused() -> None:
     """A step of a clipped input takes 2,000 steps, so there are fewer paths than at first, and the loop has settled."""
     problem = tank(2.0, 0.3, "input_limit = [[-0.35, 0.6]]")

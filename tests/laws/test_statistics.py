@@ -216,6 +216,7 @@ def walk(A: float = 1.0, theta: float = 0.1, loss: float = 0.0) -> Loop:
     return close(plant, design.excess(plant, cost, theta=theta), network, cost)
 
 
+@pytest.mark.evidence
 def test_a_loop_that_hardly_ever_sends_is_no_average() -> None:
     """A random walk below a threshold of a thousand deviations, which a stable plant never reaches either."""
     (told,) = average(walk(theta=1e6), steps=500_000).notes

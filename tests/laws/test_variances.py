@@ -186,6 +186,7 @@ def test_one_sensor_with_names_of_its_own_is_the_one_of_three_nodes(rows: tuple[
     assert direct.schedule.links == renamed.schedule.links == ("level",)
 
 
+@pytest.mark.evidence
 def test_sampled_tanks_have_an_exact_cost_and_a_schedule_by_link(tmp_path) -> None:
     """A continuous plant with a period; each link is named in the text, the document, the table and the figure."""
     policy, found = TANK.design(), taciturn.evaluate(TANK)

@@ -103,7 +103,6 @@ def test_the_slope_in_the_rate_is_the_derivative_of_the_periodic_cost_and_the_cu
     assert (np.diff(chords) >= -1e-9 * np.abs(chords).max()).all()
 
 
-@pytest.mark.evidence
 @law(1, 15, seed=SEEDS, shortest=st.sampled_from([0.0, 0.3]))
 def test_no_line_below_the_least_ratio_meets_the_growth(seed: int, shortest: float) -> None:
     """g(h) ≥ C h for the infimum C of g(h)/h, and it is attained where it is said to be."""
@@ -126,6 +125,7 @@ def test_the_least_ratio_is_at_the_left_end_of_a_convex_growth_and_at_the_right_
     assert stable.least_ratio(0.0, 3.0) == (pytest.approx(stable.growth(3.0) / 3.0), 3.0)
 
 
+@pytest.mark.evidence
 def test_a_least_ratio_between_two_intervals_of_the_grid_is_found() -> None:
     """A plant whose ratio is least in the middle: on the grid alone it is 4e-4 above an interval between."""
     found, _ = random_cost(110014)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counts import few
 from flint import arb, arb_mat
 from scipy.linalg import block_diag
 
@@ -105,7 +106,7 @@ def test_the_enclosure_of_a_stored_loop_contains_its_value_at_1024_bits_and_guar
     assert not design.lqg(plant, cost, theta=0.1, period=period, trigger="separate").guarantee.proved
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", few(range(12), 5))
 def test_the_bound_holds_for_the_errors_that_the_rounding_of_gains_makes_dearest(seed):
     """An error of the input along the rounding of L and of the filter's gain costs more than with exact gains."""
     draws = np.random.default_rng(100 + seed)
@@ -136,7 +137,7 @@ def test_the_bound_holds_for_the_errors_that_the_rounding_of_gains_makes_dearest
         assert value <= arb(bound) <= (1 + theta) * arb(base.upper) * arb(1 + 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(7))
+@pytest.mark.parametrize("seed", few(range(7), 3))
 def test_the_allowance_covers_the_rounding_of_contributions(seed):
     """Two sensors filter apart, with matrices that are wrong in the 13th digit; LΔ is below its bound."""
     draws = np.random.default_rng(200 + seed)

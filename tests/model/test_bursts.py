@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from counts import few
 from drawn import law
 from hypothesis import strategies as st
 from model.fading import FADING, JAMMER
@@ -39,7 +40,7 @@ def test_a_chain_of_two_states_is_a_burst(to_bad: float, to_good: float, good: f
     assert [[fate.lost(k, k) for k in range(60)] for fate in fates[:1]] == [[fates[1].lost(k, k) for k in range(60)]]
 
 
-@pytest.mark.parametrize("burst", [JAMMER, FADING, Burst(0.1, 0.3, 0.05, 0.8)], ids=["jammer", "own", "burst"])
+@pytest.mark.parametrize("burst", few([JAMMER, FADING, Burst(0.1, 0.3, 0.05, 0.8)], 1))
 def test_a_relay_loses_as_the_chain_says_in_any_order(burst: LossLaw) -> None:
     """Frequencies of losses and of two losses at a distance; a packet that is asked about later has the same fate."""
     ticks, seeds, distance = 120, 200, 2

@@ -43,6 +43,7 @@ def problem(**keys: Any) -> Problem:
 NAMED, PLAIN = problem(**KEYS), problem()
 
 
+@pytest.mark.evidence
 def test_names_are_those_of_the_plant_and_change_no_number() -> None:
     """The older table [names] states them too."""
     assert NAMED.names == NAMED.plant.names == LABELS
@@ -57,6 +58,7 @@ def test_names_are_those_of_the_plant_and_change_no_number() -> None:
     assert paths[0] == paths[1]
 
 
+@pytest.mark.evidence
 def test_text_tables_and_limits_use_the_names() -> None:
     """Columns of tables for programs keep their names x1, y1, u1."""
     shown = describe(NAMED)

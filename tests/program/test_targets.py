@@ -59,6 +59,7 @@ def test_every_operation_compiles_for_every_processor(tmp_path: Path) -> None:
         assert fused == (build == "fast" and name not in WITHOUT_FUSED), name
 
 
+@pytest.mark.evidence
 def test_any_number_of_lanes_compiles_for_any_processor(tmp_path: Path) -> None:
     """Tables of eight are permuted as the target can, never as the lanes suggest."""
     b = Builder()

@@ -264,6 +264,7 @@ def test_directions_that_no_noise_reaches_or_nothing_sees_do_not_count():
     assert agree(solve_gaussian(in_coordinates(large, T)), reference)
 
 
+@pytest.mark.evidence
 def test_an_error_that_the_trigger_does_not_see_adds_its_own_cost():
     """A walk next to a scalar chain costs, per kept check, a unit for each check since the last send."""
     chain = Chain(np.diag([0.5, 1.0]), UNIT, np.diag([1.0, 0.0]), 1.0, UNIT)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from runtime.attacks import KEY
 from runtime.late import ACTUATOR, STATES, WITHIN, late_sensor, pendulum
 from runtime.loops import by_hand
@@ -44,7 +45,7 @@ def cases() -> dict[str, Problem]:
     }
 
 
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize("name", few(cases(), 3))
 def test_nodes_in_memory_have_the_bits_of_all_nodes_with_the_delays_of_the_links(name: str) -> None:
     """Of the loop of plant, nodes and emulated links; so the run is that of the simulation with these numbers."""
     problem = cases()[name]

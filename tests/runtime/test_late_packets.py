@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from runtime.late import (
     STATES,
     WITHIN,
@@ -166,7 +167,7 @@ def loops() -> dict[str, Callable[[], Loop]]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", loops())
+@pytest.mark.parametrize("name", few(loops(), 12))
 def test_nodes_and_loop_agree_bit_for_bit(name: str) -> None:
     """Separate nodes, which go on from their saved states after half of the steps, and all nodes as one function."""
     loop = loops()[name]()

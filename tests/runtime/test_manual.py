@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from catalogue import KEEPING
+from counts import few
 from runtime.test_missing import PLANT, filter_and_gain, problem
 from runtime.test_operator import SECRET, Tapped, running, tank
 from typer.testing import CliRunner
@@ -92,7 +93,7 @@ def together(one: Problem, nodes: Mapping[str, Node], ticks: int = 40) -> list[t
     return found
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", few(PROBLEMS, 4))
 def test_separate_nodes_and_all_nodes_in_one_agree_through_manual_phases(name: str) -> None:
     """Bit for bit; the controller is degraded for each manual step, and sends only what changes."""
     one = PROBLEMS[name]()
@@ -112,7 +113,7 @@ def test_separate_nodes_and_all_nodes_in_one_agree_through_manual_phases(name: s
             assert sum(sent) <= 1 or (name == "lossy" and all(sent))  # whose actuator applies 0 in silence
 
 
-@pytest.mark.parametrize("name", ["pid, losses", "pid, limits"])
+@pytest.mark.parametrize("name", few(["pid, losses", "pid, limits"], 1))
 def test_nodes_in_c_are_operated_by_hand_as_those_in_python(name: str) -> None:
     """Bit for bit; the mode is in the saved state."""
     if shutil.which("cc") is None:

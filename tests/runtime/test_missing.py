@@ -108,6 +108,7 @@ def test_separate_nodes_and_all_nodes_in_one_agree_over_a_gap(name: str) -> None
     assert steps[GAP.start - 1 : GAP.stop + 3].max() <= 1.5 * np.delete(steps, range(19, 26)).max()
 
 
+@pytest.mark.evidence
 def test_a_node_in_c_takes_missing_samples_as_one_in_python() -> None:
     """Bit for bit, with the same counters; without a measurement all outputs are missing."""
     if shutil.which("cc") is None:
@@ -460,6 +461,7 @@ def test_after_a_gap_on_a_line_a_controller_goes_on_as_without_it(name: str) -> 
         assert memories[1][signal] == pytest.approx(values, abs=1e-12)
 
 
+@pytest.mark.evidence
 def test_a_node_in_c_goes_on_after_gaps_as_one_in_python() -> None:
     """Bit for bit with random gaps, also one that is saved within a gap and restored."""
     if shutil.which("cc") is None:

@@ -113,7 +113,7 @@ def assert_same(loop: Loop, ticks: int, seed: int, fast: bool) -> None:
     assert packets > 0
 
 
-@pytest.mark.parametrize("name", few([*POLICIES, *PARTICULAR], 9))
+@pytest.mark.parametrize("name", few([*POLICIES, *PARTICULAR], 5))
 def test_nodes_decide_as_the_numpy_program(name: str) -> None:
     """Every policy with a step: 200 steps against NumPy itself."""
     assert_same(build(name), 200, 3, fast=False)
@@ -133,7 +133,7 @@ def test_the_policies_that_run_for_long_hold_every_operation_and_every_form_of_a
     assert set[object]().union(*(held(build(name)) for name in COMPLETE)) == every
 
 
-@pytest.mark.parametrize("name", [*TANKS, STRING])
+@pytest.mark.parametrize("name", few([*TANKS, STRING], 4))
 def test_two_sensors_and_two_pumps_decide_as_the_loop(name: str) -> None:
     """Each with its own outputs and inputs, over links of their own."""
     assert_same(build(name), 200, 3, fast=False)

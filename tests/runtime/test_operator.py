@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from typer.testing import CliRunner
 
 import taciturn
@@ -54,7 +55,7 @@ def limited(points: Sequence[float], start: float = 0.0) -> list[float]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", few(range(2), 1))
 def test_nodes_in_python_and_in_c_keep_range_and_ramp_alike(seed: int) -> None:
     """Every packet, counter and set-point in effect, also of packets that are repeated, late or overtaken."""
     policy, rng = tank().design(), np.random.default_rng(seed)
@@ -192,6 +193,7 @@ def running(loop: Loop, keys: Keys | None, kind: type[Node] = Node) -> Generator
             port.close()
 
 
+@pytest.mark.evidence
 def test_a_tank_with_an_operator_a_load_and_missing_samples_is_the_same_in_c() -> None:
     """The controller of a run over UDP, and the exported one with the same packets: every bit of packets and memory."""
     problem = tank(disturbance=[{"enters": [0.0, -0.1], "steps": [[30, 0.3]]}], **{"links.sensor.missing": 0.2})
@@ -236,7 +238,7 @@ class Tapped(Endpoint):
         super().send(datagram, to)
 
 
-@pytest.mark.parametrize("keys", [None, SECRET], ids=["plain", "keyed"])
+@pytest.mark.parametrize("keys", few([None, SECRET], 1, 1))
 def test_the_simulated_plant_yields_to_an_operator(keys: Keys | None) -> None:
     """Who need not know the problem file. The controller reports what is in effect, and an old recording changes it
     with a key not.
@@ -282,6 +284,7 @@ def test_only_the_holder_of_the_key_of_the_link_is_heard() -> None:
     assert min(server.refused["forged"], server.refused["malformed"]) > 0
 
 
+@pytest.mark.evidence
 def test_the_command_reads_lines_and_ignores_bad_ones() -> None:
     """It prints what is in effect at first and after each line."""
     problem, runner = tank(), CliRunner()

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from counts import few
 
 import taciturn
 from taciturn.nodes.node import Node
@@ -54,7 +55,7 @@ def given(tick: int, value: float, epoch: int = 100, sequence: int | None = None
     return WIRE.encode(Packet("input", "plant", tick, tick if sequence is None else sequence, (value,), epoch))
 
 
-@pytest.mark.parametrize("tick", [None, TICK], ids=["virtual time", "real time"])
+@pytest.mark.parametrize("tick", few([None, TICK], 1))
 def test_measurements_of_far_ticks_and_of_old_epochs_are_dropped(here: Endpoint, tick: float | None) -> None:
     """A node continues with the present: what cannot have begun, and what is old, changes nothing and is counted."""
     server = serving("controller", here, tick)
@@ -81,6 +82,7 @@ def test_measurements_of_far_ticks_and_of_old_epochs_are_dropped(here: Endpoint,
     assert report["counters"].get("missing", 0) == number - 3
 
 
+@pytest.mark.evidence
 def test_an_answer_is_given_again_but_not_often(here: Endpoint) -> None:
     """In virtual time a measurement that comes again is answered again, once in a while; in real time never."""
     for tick in (None, TICK):

@@ -53,6 +53,7 @@ def mark(link: str, tick: int) -> Packet:
     return Packet("mark", link, tick, tick, (), 1)
 
 
+@pytest.mark.evidence
 def test_a_mark_of_its_own_that_is_sent_back_to_a_node_is_no_sign_of_life() -> None:
     """Neither in Python nor in C: the tag of such a mark is right, so its direction must tell."""
     loop = tanks()

@@ -101,7 +101,9 @@ def test_a_fault_alone_is_survived(fault: Fault) -> None:
     ],
     ids=["a session far ahead", "a session that seems to go on", "this session", "an unknown key", "another key"],
 )
-@pytest.mark.parametrize("in_c", [False, True], ids=["Python", "C"])
+@pytest.mark.parametrize(
+    "in_c", [False, pytest.param(True, marks=(pytest.mark.evidence, pytest.mark.daily))], ids=["Python", "C"]
+)
 def test_with_a_key_no_packet_of_an_attacker_is_used(fault: Fault, counter: str, in_c: bool) -> None:
     """It is counted, while the actuator has started again and believes nobody yet, and after a change of the key."""
     if in_c and shutil.which("cc") is None:
@@ -161,6 +163,7 @@ def test_a_sensor_and_an_integrating_controller_agree_after_every_fault(policy: 
     assert found.broken is None
 
 
+@pytest.mark.evidence
 def test_keys_are_those_of_every_link_of_the_plant(tmp_path: Path) -> None:
     """The plant sends measurements and set-points that change over one path: each link has its key."""
     (tmp_path / "levels.csv").write_text("0,0\n20,1\n35,-1\n60,0\n", encoding="utf-8")

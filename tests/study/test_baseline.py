@@ -223,6 +223,7 @@ def test_periodic_control_with_limits_is_compared_with_lqg_that_sends_every_samp
     assert found.excess.value > 10 * found.excess.standard_error
 
 
+@pytest.mark.evidence
 def test_a_bad_baseline_has_better_ones_beside_it() -> None:
     """Where silence costs less than sending, with the controllers that cost less than the given one, and a sentence."""
     noisy = TANK.changed(
@@ -243,6 +244,7 @@ def test_a_bad_baseline_has_better_ones_beside_it() -> None:
     assert not taciturn.evaluate(TANK.changed({"theta": 2.0}), steps=STEPS_OF_A_TEST).better
 
 
+@pytest.mark.evidence
 def test_tune_keeps_a_share_above_a_measured_baseline() -> None:
     """With clipped inputs: the answer, evaluated again with another seed, is at most so much above every sample."""
     problem = Problem(LIMITED, COST, Network(), "send-on-delta", {"delta": 1.0}, controller=PID(0.6))

@@ -33,9 +33,9 @@ def masses() -> Problem:
 @pytest.mark.parametrize(
     ("problem", "waits"),
     [
-        (pendulum(actuator_delay=STEPS), [1, 2, 3]),
+        pytest.param(pendulum(actuator_delay=STEPS), [1, 2, 3], marks=pytest.mark.evidence),
         (pendulum(actuator_delay=PARTS, actuator_loss=0.05), [0.004, 0.013, 0.02, 0.047]),
-        (pendulum(**BURSTS), [1, 2]),
+        pytest.param(pendulum(**BURSTS), [1, 2], marks=pytest.mark.evidence),
     ],
     ids=["steps", "parts of a period", "bursts"],
 )
@@ -74,6 +74,7 @@ def test_a_buffer_between_two_possible_delays_is_worse_than_the_lower_one() -> N
         assert changed.design().cost_all_time > costs[low]  # type: ignore[operator]
 
 
+@pytest.mark.evidence
 def test_simulated_costs_have_errors_and_the_same_random_numbers() -> None:
     """Without acknowledgements a limit of the input leaves no closed form; each cost is that of its own evaluation."""
     problem = pendulum(protocol="udp", actuator_delay=[0.5, 0.4, 0.05]).changed({"plant.input_limit": 3.0})
@@ -88,6 +89,7 @@ def test_simulated_costs_have_errors_and_the_same_random_numbers() -> None:
         assert abs(one.cost.value - by_itself.value) < 5 * error
 
 
+@pytest.mark.evidence
 def test_many_delays_are_searched_from_afar(monkeypatch: pytest.MonkeyPatch) -> None:
     """A few candidates at a time find the same buffer as all of them; a note tells how many were tried."""
     waits = np.linspace(0.001, 0.05, 30)
@@ -109,6 +111,7 @@ def test_many_delays_are_searched_from_afar(monkeypatch: pytest.MonkeyPatch) -> 
     assert f"{len(few.tried)} of 30 possible delays were tried" in few.notes[0]
 
 
+@pytest.mark.evidence
 def test_a_budget_tunes_the_policy_for_each_buffer() -> None:
     """At the same rate; the least cost is the best, and that of a tuned policy by itself."""
     found = tune_buffer(masses(), "actuator", rate="60%", standard_error=2e-2)

@@ -412,6 +412,7 @@ def test_ten_thousand_loops_are_within_two_percent_of_what_none_can_beat() -> No
     assert found.consistent is True
 
 
+@pytest.mark.evidence
 def test_a_bound_on_periodic_control_is_called_a_bound_where_no_schedule_is_known_to_attain_it() -> None:
     """Loops that differ may attain it with shared slots, or not; equal loops take turns and attain the bound."""
     loud = replace(WALK, plant=Plant([[1.0]], [[1.0]], [[3.0]]))

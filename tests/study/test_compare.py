@@ -129,6 +129,7 @@ def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], w
     assert words in str(caught.value)
 
 
+@pytest.mark.evidence
 def test_without_a_rate_policies_are_compared_at_the_rate_of_the_first_one() -> None:
     """Or at its traffic, if it decides on several links."""
     clocks = {"every third": with_policy("periodic", every=3), "drawn": with_policy("stochastic", actuation="model")}
@@ -157,6 +158,7 @@ def test_a_cost_that_the_rate_does_not_fix_is_refused() -> None:
         at_rate("hold", replace(found, slope=-1e4), 0.3, "actuator")
 
 
+@pytest.mark.evidence
 def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     """A picture with a name for each policy; JSON without what JSON cannot say."""
     found = compare({"hold": MASSES, "clock": FEW["clock"]}, 0.3, standard_error=1e-2)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 
 import taciturn
 from taciturn import Estimate
@@ -103,7 +104,7 @@ def test_text_has_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch, col
 
 
 @pytest.mark.parametrize("names", [["a", "b"], [PATH, "b"]])
-@pytest.mark.parametrize("width", [4.0, 5.0, 7.0])
+@pytest.mark.parametrize("width", few([4.0, 5.0, 7.0], 1))
 def test_labels_of_the_axis_of_costs_do_not_overlap(names: list[str], width: float) -> None:
     """Horizontal labels have a gap; the baselines of rotated ones are farther apart than the letters are high."""
     panel = Panel([Series([0.7341, 0.7345], [0.0, 1.0], "cost", "bars", [0.0, 0.0], 0)], "cost", names=names)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from runtime.silent import build
 
 import taciturn
@@ -43,6 +44,7 @@ def marks(axis: Any, marker: str) -> int:
     return sum(len(line.get_xdata()) for line in axis.get_lines() if line.get_marker() == marker)
 
 
+@pytest.mark.evidence
 def test_a_path_tells_which_packets_the_links_dropped() -> None:
     """A link delivers only what was sent, and drops its share; text, document, table and figure say so."""
     found = path("lossy-double-integrator", 100)
@@ -118,7 +120,7 @@ def noises(found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return found.state[1:] - moved, found.measurement - found.state @ plant.C.T
 
 
-@pytest.mark.parametrize("name", ["two-mass", "two-mass-lqg", "pid-tank", TANKS, "lossy-double-integrator"])
+@pytest.mark.parametrize("name", few(["two-mass", "two-mass-lqg", "pid-tank", TANKS, "lossy-double-integrator"], 2))
 def test_periodic_control_has_the_noise_of_a_policy_and_as_many_packets(name: str) -> None:
     """In even intervals; the path of the policy is the one that it has alone."""
     alone, found = path(name, 100), path(name, 100, versus=True)
@@ -207,6 +209,7 @@ def test_the_cost_of_a_path_is_that_of_its_steps() -> None:
     assert long.cost == pytest.approx(average.cost.value, rel=0.1)
 
 
+@pytest.mark.evidence
 def test_the_figure_has_a_panel_for_each_of_what_a_path_has() -> None:
     """Outputs and estimates, inputs, lanes, and triggers as ratios on logarithmic axes."""
     axes = path(TANKS).plot().axes
@@ -220,6 +223,7 @@ def test_the_figure_has_a_panel_for_each_of_what_a_path_has() -> None:
     assert axes[0].get_title() == "event-triggered control (distributed)"
 
 
+@pytest.mark.evidence
 def test_curves_of_two_paths_have_the_colours_of_their_controls() -> None:
     """Those of periodic control are amber, several signals in tones; each column has a key; no triggers are shown."""
     both, style = path(TANKS, 100, versus=True).plot().axes, STYLES["light"]
@@ -231,6 +235,7 @@ def test_curves_of_two_paths_have_the_colours_of_their_controls() -> None:
         assert labels(axis) == ["pump 1", "pump 2"]
 
 
+@pytest.mark.evidence
 def test_a_figure_for_a_column_of_a_journal_omits_estimates_and_triggers() -> None:
     """The estimates of several outputs, and triggers between the first and the last."""
     axes = path(TANKS, 100).plot(style="paper").axes

@@ -181,7 +181,7 @@ def overlapping(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return cut + covered
 
 
-@pytest.mark.parametrize("case", few([(name, style) for name in MADE for style in STYLES], 5))
+@pytest.mark.parametrize("case", few([(name, style) for name in MADE for style in STYLES], 2))
 def test_every_result_with_numbers_has_a_legible_picture(
     case: tuple[str, StyleName], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -221,6 +221,7 @@ def test_every_result_has_a_picture_or_a_reason_for_none() -> None:
     assert {name for name, one in named.items() if not hasattr(one, "plot")} == WITHOUT.keys()
 
 
+@pytest.mark.evidence
 def test_the_axis_holds_policy_periodic_control_every_sample_and_guarantee() -> None:
     """Whether they are near each other or five times as large."""
     for name in ("trade-off", "trade-off of several links"):
@@ -258,6 +259,7 @@ def test_the_title_of_a_picture_says_its_result() -> None:
     assert "budget 0.3" in [text.get_text() for text in tuned.texts]
 
 
+@pytest.mark.evidence
 def test_shares_of_the_links_are_drawn_if_they_change_over_the_points() -> None:
     """Nearly constant ones are not, whatever those of every sample are; then the costs have the label of the rates."""
     found = made("trade-off of several links")
@@ -269,6 +271,7 @@ def test_shares_of_the_links_are_drawn_if_they_change_over_the_points() -> None:
     assert [axis.get_ylabel() for axis in axes[1:]] == ["share (%)"]
 
 
+@pytest.mark.evidence
 def test_rates_that_all_loops_of_a_channel_have_are_not_drawn() -> None:
     """Those of loops of one kind; if periodic control has another rate, they are."""
     found = made("channel")

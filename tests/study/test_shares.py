@@ -98,6 +98,7 @@ def test_links_without_a_given_rate_send_every_sample(monkeypatch: pytest.Monkey
     assert both.document()["budget"]["at_most"] == {"level": 0.3, "valve": 0.4}
 
 
+@pytest.mark.evidence
 def test_given_shares_are_kept() -> None:
     """A budget on the traffic then changes θ alone."""
     given = {"level": 2.0, "valve": 1.0}

@@ -74,6 +74,7 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     assert len(seen) == before + 6
 
 
+@pytest.mark.evidence
 def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """How many of its cells, and how many others; of an empty one nothing."""
     with caplog.at_level("INFO", logger="taciturn"):
@@ -93,6 +94,7 @@ def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.Lo
     ]
 
 
+@pytest.mark.evidence
 def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the old one kept stays."""
     swept(tmp_path)

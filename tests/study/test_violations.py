@@ -292,6 +292,7 @@ def ranking_of(found: taciturn.Comparison) -> tuple[Any, ...]:
     return found.ranking
 
 
+@pytest.mark.evidence
 def test_tune_finds_the_largest_threshold_within_a_budget_of_violations() -> None:
     """The answer keeps the budget, and a threshold a quarter larger does not."""
     found = taciturn.tune(limited(), violation=0.02, standard_error=0.02)
@@ -318,6 +319,7 @@ def test_a_budget_that_cannot_be_met_is_one_sentence(problem: taciturn.Problem, 
     assert words in str(caught.value)
 
 
+@pytest.mark.evidence
 def test_an_evaluation_without_probabilities_tells_why() -> None:
     """Cost and rate are there, with a note: for a state that wanders, and for a policy without steps."""
     wandering = taciturn.Problem(

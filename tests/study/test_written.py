@@ -56,6 +56,7 @@ def by_hand(problem: Problem, ticks: int, paths: int) -> tuple[float, float]:
     return float(np.mean(costs)), float(np.std(costs, ddof=1) / np.sqrt(paths))
 
 
+@pytest.mark.evidence
 def test_the_loop_on_the_plant_as_written_stands_beside_the_one_with_the_disturbance_by_default() -> None:
     """Cost of every sample exactly, of the policy by a simulation, and the verdict is about this plant."""
     problem = motor()
@@ -88,6 +89,7 @@ def test_the_cost_on_the_plant_as_written_is_that_of_trajectories(paths: int) ->
     assert found.cost.value > 1.2 * found.cost_all_time
 
 
+@pytest.mark.evidence
 def test_a_budget_in_percent_shows_what_it_is_on_the_plant_as_written() -> None:
     """Five percent with the disturbance are thirty without it; both are in the line of the budget."""
     found = taciturn.tune(motor(), cost="+5%", standard_error=5e-3)

@@ -53,6 +53,7 @@ def test_the_printed_slope() -> None:
     assert price.periodic(1.46812) == pytest.approx(40.358, abs=5e-4)
 
 
+@pytest.mark.evidence
 def test_the_printed_alpha_is_not_admissible() -> None:
     """α = 1.50 violates α ≤ L(α), as L(1.5) = 1.47742."""
     with pytest.raises(ProblemError, match=r"alpha is 1.5, but the resulting mean interval L\(alpha\) is 1\.47"):

@@ -95,6 +95,7 @@ def test_rays_meet_the_plane_where_the_points_are(robot: Robot) -> None:
     np.testing.assert_allclose(calibration.meet(calibration.see(points), 0.1), points[:, :2], atol=1e-5)
 
 
+@pytest.mark.evidence
 def test_a_landmark_that_is_not_there_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tag that nobody printed, a cube of a colour that nothing has; the lens is known."""
     omni, rover = ROBOTS["omni"], ROBOTS["rover"]

@@ -33,6 +33,7 @@ def pixels(picture: bytes) -> _cv2.Pixels:
     return found
 
 
+@pytest.mark.evidence
 def test_a_picture_depends_on_seed_and_number_alone() -> None:
     """In any order of calls, and after the light was turned and turned back."""
     seen, camera = Body(ROVER).snapshot, Camera(ROVER, 5)

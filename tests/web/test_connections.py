@@ -188,6 +188,7 @@ def test_clients_that_go_away_or_break_the_rules_leave_no_trace(
     assert (capfd.readouterr(), caplog.records) == (("", ""), [])
 
 
+@pytest.mark.evidence
 def test_a_page_ends_in_time_though_clients_wait_or_never_read(
     page: Small, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -53,6 +53,7 @@ def test_a_reader_that_comes_back_is_told_what_it_missed(page: Small) -> None:
     assert Reader(page, reader.last).next() == ("begin", 2)
 
 
+@pytest.mark.evidence
 def test_a_slow_reader_holds_nothing_up(page: Small, monkeypatch: pytest.MonkeyPatch) -> None:
     """It reads nothing, another one gets every row meanwhile; the slow one is dropped when its time is up."""
     monkeypatch.setattr(connections, "PATIENCE", 1.0)
