@@ -177,8 +177,8 @@ class ContributionSteps(Displayed):
     ) -> tuple[Step, ...]:
         """Return the steps of one end of a link that set the copy, and its model, to those of a packet.
 
-        A packet that was sent up to ``oldest`` steps ago is moved to the present, as in silence since then. An older
-        contribution may not be used as it is: the measurements since would count as zero, also those of its own past.
+        A packet that was sent up to ``oldest`` steps ago is moved to the present: the copy becomes what it would be if
+        the packet had come at once, and the sensor had been silent since.
         """
         n, model, part, local = np.eye(self._plant.states), f"{copy}_model_{node}", f"part_{node}", f"local_{node}"
         moves, closed = self._left @ self._plant.A, closed_loop(self.certainty)
@@ -188,8 +188,7 @@ class ContributionSteps(Displayed):
             models.append({local: closed @ models[-1][local]})
             parts.append({name: moves @ matrix for name, matrix in parts[-1].items()})
             if self.prediction == "model":
-                told = self._measured(node) @ models[-1][local]
-                parts[-1][local] = parts[-1].get(local, 0.0) + told
+                parts[-1][local] = parts[-1].get(local, 0.0) + self._measured(node) @ models[-1][local]
         steps = (Assign(at, f"{copy}_{node}", ({expected: n}, *parts), on),)
         if self.prediction == "hold":
             return steps
