@@ -70,6 +70,7 @@ def test_the_name_of_a_flat_panel_is_left_of_its_numbers(style: StyleName) -> No
         assert name.x1 <= min(box.x0 for box in shown)
 
 
+@pytest.mark.evidence
 def test_names_at_the_ends_of_curves_do_not_overlap() -> None:
     """Curves and a level that end at nearly one place: their names are to the right of the axes, in the same order."""
     ends = [0.0, 0.01, 0.02, 3.0]

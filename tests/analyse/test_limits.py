@@ -111,6 +111,7 @@ def test_the_bound_falls_with_the_rate_to_the_cost_of_sending_always(
     assert last == LowerBound(loop.policy.cost_all_time, 0.999, 0.98, 0.0)
 
 
+@pytest.mark.evidence
 def test_another_trigger_with_the_same_controller_has_the_same_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is that of the loop, whatever its policy decides by."""
     monkeypatch.setattr(dual, "MOST", 1)

@@ -112,6 +112,7 @@ def test_evaluate_solves_what_it_can_and_says_how() -> None:
         assert simulated.mean_interval.standard_error > 0
 
 
+@pytest.mark.evidence
 def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
     """Four states: by conditional sampling where intervals are short, else simulated and told why; never exact."""
     tables = {

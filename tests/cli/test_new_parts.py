@@ -100,6 +100,7 @@ def test_set_points_change_in_steps_or_by_a_file(ask: Ask) -> None:
     assert found["plant"]["V"] == [[0.0025, 0], [0, 0.0025]]
 
 
+@pytest.mark.evidence
 def test_disturbances_and_limits(ask: Ask) -> None:
     """Several disturbances, each with its place; limits of both sides, of one, or none."""
     shapes = ("disturbances", "", "", "0.1", "yes", "sinusoid", "0 0.3", "0.5", "0.2", "no")

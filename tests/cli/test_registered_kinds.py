@@ -263,6 +263,7 @@ def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) 
     )
 
 
+@pytest.mark.evidence
 def test_entry_points_that_are_no_text_leave_all_other_packages_as_they_are(tmp_path: Path) -> None:
     """The package need not have to do with this library; it is named once."""
     site = tmp_path / "site"

@@ -83,6 +83,7 @@ def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str]
     assert told in run(*arguments).sentence
 
 
+@pytest.mark.evidence
 def test_a_port_in_use_is_refused(run: Run) -> None:
     """The page's, and the camera's."""
     import socket
@@ -106,6 +107,7 @@ def test_a_calibration_that_is_none_is_refused(run: Run, tmp_path: Path, text: s
     assert "expected" in said
 
 
+@pytest.mark.evidence
 def test_an_eye_for_a_policy_of_another_size_sees_nothing_that_is_used(run: Run, tmp_path: Path) -> None:
     """A calibration of the omni's camera for the rover's controller is refused."""
     path = tmp_path / "calibration.json"

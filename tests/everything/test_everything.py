@@ -116,6 +116,7 @@ def test_without_delays_a_model_with_queues_is_the_model(tmp_path: Path) -> None
     assert np.allclose(late.loads.alone, model.loads.alone)
 
 
+@pytest.mark.evidence
 def test_a_wrong_number_is_a_fault_of_the_smallest_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A number of the file that only one of the two reads is found."""
     few_steps(monkeypatch)

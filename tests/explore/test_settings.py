@@ -205,6 +205,7 @@ def test_an_event_that_is_added_again_has_the_size_of_the_first() -> None:
     assert answers.response("problem=two-mass&load=80:0:0.25")["sizes"]["load"] == [0.25]
 
 
+@pytest.mark.evidence
 def test_several_links_have_a_row_of_periodic_control() -> None:
     """At the refined traffic of the policy, with the cost that a trade-off states; or the reason why there is none."""
     answers, setting = Answers(), Setting(file=TWO_LINKS)

@@ -73,6 +73,7 @@ def test_periodic_control_over_several_links_stops_within_a_few_steps(monkeypatc
     assert max(np.diff(seen)) < 50
 
 
+@pytest.mark.evidence
 def test_a_worker_that_dies_is_replaced_and_its_job_says_so(pool: Pool) -> None:
     """All workers are killed; the jobs that follow are answered by new ones, also that of an idle worker."""
     job = pool.submit("a", "bound", LONG)

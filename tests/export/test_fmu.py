@@ -143,7 +143,7 @@ def test_instances_are_apart_and_a_reset_begins_anew(make: Make, version: Versio
     other.close()
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", few(VERSIONS, 1))
 def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make: Make, version: Version) -> None:
     """Another step, another time, a measurement that is no number, an unknown variable, a wrong order."""
     loop, _, folder = make("two-mass-lqg", version)
@@ -200,6 +200,7 @@ def test_a_unit_names_the_set_point_that_is_too_large_and_the_page_lists_all_var
         assert f"`{one.name.partition('_')[0]}" in page, one.name
 
 
+@pytest.mark.evidence
 def test_set_points_start_at_those_that_the_problem_states(make: Make) -> None:
     """In the description, in the unit before its first step and after a reset, and in the input that it computes."""
     loop, _, folder = make("set-points", "3.0")
@@ -370,6 +371,7 @@ def test_delays_are_inputs_only_where_packets_are_delayed_at_random(make: Make, 
         taciturn.export_fmu(pendulum(delay=WITHIN), tmp_path / "unit.fmu")
 
 
+@pytest.mark.evidence
 def test_a_lost_packet_does_not_arrive(make: Make) -> None:
     """With every packet to the actuator lost, the input of the plant stays zero; without losses it does not."""
     loop, _, folder = make(LOSSY, "3.0")

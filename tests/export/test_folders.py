@@ -266,6 +266,7 @@ def test_options_that_change_bits_are_refused(option: str, tmp_path: Path) -> No
     assert "numbers are rounded as the compiler likes" in done.stderr
 
 
+@pytest.mark.evidence
 def test_a_node_is_called_from_cpp(tmp_path: Path) -> None:
     """Sources as C, a main in C++."""
     if shutil.which("c++") is None:

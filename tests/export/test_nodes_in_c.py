@@ -294,6 +294,7 @@ def test_a_packet_of_a_later_epoch_supersedes_one_of_its_tick(every: int) -> Non
             play(case(name, role, 1), [*events, ("step", 1), ("step", 1), ("step", 1)], which)
 
 
+@pytest.mark.evidence
 @all_or_some
 def test_a_node_that_begins_late_has_joined(every: int) -> None:
     """A first step that is not 0, with packets that wait for it, for others, and for one far away."""

@@ -110,6 +110,7 @@ def test_set_points_of_a_running_sender_are_believed() -> None:
     assert again.receive(wire().encode(point(2, 2, epoch=3)))
 
 
+@pytest.mark.evidence
 def test_the_link_of_set_points_has_its_own_key() -> None:
     """A datagram with the key of another link is forged, as for a node in Python."""
     device, host = Device(library(), KEY, 9), wire(Keys({"probe": (KEY,), "valve": (KEY,), SETPOINT: (OTHER,)}))

@@ -30,6 +30,7 @@ def run(folder: Path, *options: str) -> list[str]:
     return found.stdout.splitlines()
 
 
+@pytest.mark.evidence
 def test_tasks_that_never_wait_apply_the_inputs_of_the_nodes(tmp_path: Path) -> None:
     """Measurements by ``tac_encode`` and ``tac_decode``: every input has its bits, and no packet is lost."""
     *inputs, last = run(tmp_path)

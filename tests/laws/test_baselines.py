@@ -50,6 +50,7 @@ def test_the_dynamic_trigger_sends_only_where_the_static_one_would(examples: int
     assert np.mean(np.array(sends) > 0) > 0.5
 
 
+@pytest.mark.evidence
 @SOME
 @given(system=systems(states=4), rho=st.floats(0.3, 0.9), gain=st.floats(3.5, 10.0))
 def test_the_first_send_of_the_dynamic_trigger_is_no_earlier(system: System, rho: float, gain: float) -> None:
@@ -103,6 +104,7 @@ def test_silence_of_the_stochastic_trigger_is_a_determinant(examples: int) -> No
     over(silence_is_a_determinant, examples, system=systems(states=3), share=st.floats(0.1, 5.0))
 
 
+@pytest.mark.evidence
 @SOME
 @given(system=systems(states=4), share=st.floats(0.1, 1.0))
 def test_send_on_delta_sends_where_an_output_has_moved(system: System, share: float) -> None:

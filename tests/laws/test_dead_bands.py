@@ -189,6 +189,7 @@ def lqg_of(plant: Plant, cost: Cost) -> CertaintyEquivalentDesign:
     return design_certainty("lqg", discretise(plant, cost, None))
 
 
+@pytest.mark.evidence
 def test_the_pid_has_the_gains_of_the_reference() -> None:
     """Gains 1.15487 and .87857, bounds 3.55 and 12.7 times the cost of every sample; at the measured errors 1.90."""
     nodes = {"s": NodeRole(measures=True), "c": NodeRole(controls=True), "a": NodeRole(applies=True)}

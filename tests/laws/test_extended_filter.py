@@ -57,6 +57,7 @@ def designed(system: System) -> Policy:
     return policy
 
 
+@pytest.mark.evidence
 @settings(max_examples=4)
 @given(system=systems(states=4), seed=SEEDS)
 def test_from_its_steady_covariance_it_decides_as_the_steady_filter(system: System, seed: int) -> None:

@@ -65,6 +65,7 @@ def it_beats_periodic_control(seed: int, law: str, cycles: int = 25_000) -> None
     assert cost_of - error <= price.periodic(mean + 4 * found.interval.standard_error)
 
 
+@pytest.mark.evidence
 def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
     """tr(PW) + c min(1, ε/E[θ]), c = αC: with P = W = 1, C = 0.4, α = 0.8, ε = 0.5 that is 1 + 0.32 · 0.5/2 at 2 s."""
     plant = ContinuousPlant([[0.0]], [[1.0]], jumps=Jumps(2.0, [[0.5]]))
@@ -162,6 +163,7 @@ def test_without_disturbances_nothing_is_sent() -> None:
     assert found.interval.value > 900  # every send waits for a jump
 
 
+@pytest.mark.evidence
 def test_looking_more_often_comes_to_every_instant() -> None:
     """The mean interval and the cost under jumps, looked at every 2 ms and watched between jumps."""
     watched = design.integral(DOUBLE, COST, slope=5.0, alpha=0.6, h_max=2.0)

@@ -197,6 +197,7 @@ def test_the_refusal_of_losses_names_the_first_critical_loss_although_more_losse
     assert growth(1.0) > 1 > growth(1.3)
 
 
+@pytest.mark.evidence
 def test_a_guarantee_needs_finite_fourth_moments() -> None:
     """Near the critical loss the variance of the cost is infinite: identity and simulation remain, with a warning."""
     plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])

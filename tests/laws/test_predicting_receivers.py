@@ -250,7 +250,7 @@ def test_an_actuator_moves_the_loop_of_a_given_controller() -> None:
         assert actuator.step(4 + age).input == pytest.approx(kept.C @ r + kept.D @ y)
 
 
-@pytest.mark.parametrize("prediction", ["hold", "model"])
+@pytest.mark.parametrize("prediction", few(["hold", "model"], 1, 1))
 def test_a_controller_moves_late_contributions_of_sensors_to_the_present(prediction: str) -> None:
     """Every input of two sensors with different laws, from what each packet says, one step at a time since it was sent.
 

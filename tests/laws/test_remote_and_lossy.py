@@ -173,6 +173,7 @@ def test_information_costs(system: System, mission: bool) -> None:
     assert all_time("udp", 1, alpha, beta / 2) <= worst * slack
 
 
+@pytest.mark.evidence
 @FEW
 @given(system=systems())
 def test_a_query_is_worth_what_its_place_says(system: System) -> None:

@@ -136,6 +136,7 @@ def test_the_probability_of_a_violation_does_not_depend_on_the_set_point(setpoin
     assert abs(found.value - 0.000675) <= SURE * np.hypot(found.standard_error, 0.00001)
 
 
+@pytest.mark.evidence
 def test_few_steps_for_a_violation_are_no_reason_to_deny_a_stationary_distribution() -> None:
     """The spread over few paths varies by itself, so only a growth beyond that is one."""
     problem = tank(0.0)

@@ -579,6 +579,7 @@ def test_modes_on_the_circle_in_rotated_coordinates_are_moved(seed: int, share: 
     assert found.K == pytest.approx(K, rel=1e-6)
 
 
+@pytest.mark.evidence
 def test_nearly_equal_growing_modes_have_no_critical_loss_that_is_proved():
     """Four modes that one input hardly tells apart: the cost-to-go of the regulator is flat in double precision."""
     modes = 1.0693087239676202 + 4.57993899e-5 * np.arange(4)

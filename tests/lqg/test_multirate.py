@@ -121,6 +121,7 @@ def test_the_cost_to_go_is_that_of_least_squares(seed: int, plans: bool) -> None
     np.testing.assert_allclose(least, first, rtol=1e-4, atol=1e-5 * np.abs(first).max())
 
 
+@pytest.mark.evidence
 def test_timings_that_do_not_stabilise_are_refused() -> None:
     """Two masses, whose spring swings half a period while the input is held."""
     masses = taciturn.load("two-mass-lqg")

@@ -214,6 +214,7 @@ def test_periodic_control_of_the_two_masses_costs_what_the_corrected_figure_show
     assert found.noise_cost / period == pytest.approx(between, abs=5e-5)
 
 
+@pytest.mark.evidence
 def test_a_simulated_noisy_loop_has_the_sampled_moments_and_cost():
     """Euler–Maruyama at 1/2000 of the period: mean, covariance and cost within four standard errors."""
     rng = np.random.default_rng(11)

@@ -96,6 +96,7 @@ def test_queries_are_scheduled_for_an_unstable_plant_whose_inputs_are_late() -> 
     assert problem.changed({"network.actuator_delay": 1}).design().cost_all_time > problem.design().cost_all_time  # type: ignore[operator]
 
 
+@pytest.mark.evidence
 def test_the_mean_delay_is_that_of_the_states_as_often_as_the_link_is_in_them() -> None:
     """Four fifths of the time in the first one: 0.26/0.98 of a step, and not 0.53, which would round to a step."""
     burst = {"to_bad": 0.1, "to_good": 0.4, "loss_good": 0.0, "loss_bad": 0.3}

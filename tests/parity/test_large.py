@@ -38,7 +38,6 @@ def products(program: Program) -> int:
     return sum(op.name == "product" for op in program.ops)
 
 
-@pytest.mark.evidence
 @law(2, 6, seed=st.integers(0, 2**32 - 1), n=st.integers(17, 24), precision=PRECISIONS)
 def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) -> None:
     """With plant and filter, and in the innovations form."""
@@ -49,6 +48,7 @@ def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) 
         assert_parity(loop, program, seed, ticks=7)
 
 
+@pytest.mark.evidence
 def test_products_are_what_single_coefficients_would_give(monkeypatch: pytest.MonkeyPatch) -> None:
     """To rounding, step for step, while the decisions agree."""
     loop = large(1, 18, 2, 4)

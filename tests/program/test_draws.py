@@ -253,6 +253,7 @@ def test_neighbouring_paths_are_independent(recorded: tuple[np.ndarray, np.ndarr
     assert min(dependence(*pair) for pair in pairs) > UNLIKELY
 
 
+@pytest.mark.evidence
 def test_neighbouring_seeds_are_independent() -> None:
     """The same paths of seeds 0 and 1, and one path of a thousand seeds."""
     program = drawing(Entry("normal", 0), Entry("normal", 1))

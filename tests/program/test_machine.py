@@ -243,6 +243,7 @@ print([str(warning.message) for warning in caught if "llvmlite" in str(warning.m
 """
 
 
+@pytest.mark.evidence
 def test_without_llvmlite_the_loops_run_in_numpy_with_one_notice(loop: Loop, tmp_path: Path) -> None:
     """Every number has the bits of the bit-exact build."""
     command = [sys.executable, "-c", WITHOUT_LLVM, str(tmp_path)]

@@ -59,6 +59,7 @@ def test_the_best_interval_at_a_price_is_better_than_all_others(seed: int, price
     assert total(best) <= least * (1 + 1e-12)
 
 
+@pytest.mark.evidence
 @EXAMPLES
 @given(st.integers(0, 2**32 - 1), st.integers(2, 4), st.floats(0.15, 0.95))
 def test_no_other_rates_of_the_same_load_cost_less(seed: int, kinds: int, share: float) -> None:

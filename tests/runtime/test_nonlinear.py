@@ -79,6 +79,7 @@ def test_plants_and_loops_are_systems_of_python_control(name: str) -> None:
     assert moved.outputs[plant.outputs : plant.outputs + plant.inputs].any()
 
 
+@pytest.mark.evidence
 def test_nodes_in_c_decide_for_a_plant_that_is_not_linear(tmp_path: Path) -> None:
     """Exported as ever: the self-check was recorded with the plant that is not linear."""
     problem = load("pendulum-by-encoders")

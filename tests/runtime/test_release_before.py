@@ -62,6 +62,7 @@ def test_a_node_refuses_packets_of_the_release_before_and_says_why(keyed: bool) 
     assert "export firmware again" in sentence
 
 
+@pytest.mark.evidence
 def test_firmware_refuses_packets_of_the_release_before() -> None:
     """It counts them as foreign, and nothing else happens."""
     library = compile_node(POLICY, "actuator", POLICY.network, Path(mkdtemp()))

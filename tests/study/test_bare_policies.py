@@ -27,6 +27,7 @@ def named(**parameters: float) -> Problem:
     return Problem(MOTOR, COST, Network(), "lqg", parameters)
 
 
+@pytest.mark.evidence
 def test_a_policy_gives_the_numbers_of_its_problem() -> None:
     """Evaluation, certificates, a trajectory and the code are those of the problem with this policy."""
     policy, problem = rule(0.5), named(theta=0.5)
@@ -50,6 +51,7 @@ def test_a_function_gives_the_numbers_of_its_problem() -> None:
     assert [point.evaluation.cost for point in found.points] == [point.evaluation.cost for point in known.points]
 
 
+@pytest.mark.evidence
 def test_a_function_is_compared_with_a_kind() -> None:
     """At the same rate."""
     clock = Problem(MOTOR, COST, Network(), "periodic", {"every": 3})

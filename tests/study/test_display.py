@@ -116,7 +116,7 @@ class Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.mark.parametrize("name", few(NAMES, 3))
+@pytest.mark.parametrize("name", few(NAMES, 2))
 def test_an_object_shows_itself_in_a_line_and_in_a_notebook(name: str) -> None:
     """At most 200 characters, one line; HTML that is whole."""
     value = shown()[name]

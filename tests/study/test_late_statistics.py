@@ -162,6 +162,7 @@ def test_an_overtaken_packet_does_not_change_the_input() -> None:
     assert abs(changes - round(used)) <= 2  # the first packet, and that of the last step
 
 
+@pytest.mark.evidence
 def test_an_evaluation_has_the_numbers_in_its_document_and_its_details() -> None:
     """A loop without random delays has none, nor one with a buffer."""
     problem = load("inverted-pendulum").changed({"kind": "excess", "network.protocol": "tcp",

@@ -183,6 +183,7 @@ def test_the_cost_of_a_real_period_has_the_error_of_its_curve() -> None:
     assert one_sided.standard_error == pytest.approx(0.001 / 4, rel=1e-3)
 
 
+@pytest.mark.evidence
 def test_the_bound_of_a_policy_without_steps_has_the_slope_of_its_interval() -> None:
     """A difference quotient of the bound."""
     plant = taciturn.ContinuousPlant([[0.0]], [[1.0]], jumps=taciturn.Jumps(2.0, np.array([[0.5]])))

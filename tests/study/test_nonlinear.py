@@ -127,6 +127,7 @@ def test_a_problem_becomes_its_linearisation_without_its_function() -> None:
     assert found.cost_bound is not None
 
 
+@pytest.mark.evidence
 def test_a_lambda_is_refused_by_other_processes_in_a_sentence(tmp_path: Path) -> None:
     """And runs here."""
     plant = Plant([[1.2]], [[1.0]], [[0.05]], function=lambda x, u, w: 1.2 * np.sin(x) + u + w)

@@ -271,6 +271,7 @@ def test_the_figure_shows_set_points_limits_and_disturbances() -> None:
     assert axes[4].get_ylim()[1] < 100
 
 
+@pytest.mark.evidence
 def test_a_stored_reference_is_what_the_outputs_follow() -> None:
     """The figure shows it as the set-point; the path has it in each step."""
     reference = taciturn.Reference(np.linspace(0.0, 1.0, 21)[:, None], np.full((20, 1), 0.05))

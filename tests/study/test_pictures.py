@@ -280,6 +280,7 @@ def test_rates_that_all_loops_of_a_channel_have_are_not_drawn() -> None:
     assert len(replace(found, shares=(replace(share, rate_periodic=2 * share.rate_periodic),)).plot().axes) == 2
 
 
+@pytest.mark.evidence
 def test_probabilities_of_zero_are_at_the_axis_and_small_ones_are_powers_of_ten() -> None:
     """A limit has a minus sign."""
     (axis,) = made("violations").plot().axes
@@ -289,6 +290,7 @@ def test_probabilities_of_zero_are_at_the_axis_and_small_ones_are_powers_of_ten(
     assert axis.get_yticklabels()[-1].get_text() == "−3 ≤ x1 ≤ 3"
 
 
+@pytest.mark.evidence
 def test_only_one_of_two_guarantees_has_a_filled_marker() -> None:
     """That for any rate."""
     (axis, _) = made("evaluation").plot().axes
@@ -342,6 +344,7 @@ def test_a_histogram_of_measured_intervals_is_beside_their_law() -> None:
         law.plot(measured=[0.5])
 
 
+@pytest.mark.evidence
 def test_the_search_is_in_the_document_and_the_answer_lies_on_its_curve() -> None:
     """Each value that was tried, with what the budget limits."""
     found = made("tuned")

@@ -65,6 +65,7 @@ def test_a_printed_path_names_inputs_and_predictions() -> None:
     assert "prediction of x by the actuator's model" in text
 
 
+@pytest.mark.evidence
 def test_a_drawn_path_names_predictions() -> None:
     """In the key of the states; the only input needs none."""
     figure: Any = path().plot()

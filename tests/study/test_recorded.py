@@ -338,6 +338,7 @@ def test_a_bad_log_is_refused_with_one_sentence(
     assert words in err
 
 
+@pytest.mark.evidence
 def test_files_that_are_none_are_refused_with_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

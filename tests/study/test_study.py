@@ -189,6 +189,7 @@ def test_the_trigger_of_a_trajectory_is_the_one_that_decides(kind: str) -> None:
     assert (sent == (path.trigger_value > path.threshold)).all()
 
 
+@pytest.mark.evidence
 def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
     """Four panels; one row per step."""
     problem = taciturn.load("two-mass-lqg").changed({"actuation": "model"})
@@ -238,6 +239,7 @@ def test_averages_and_missions_are_not_traded_off_in_one_table() -> None:
         taciturn.tradeoff(problem, {"cost.discount": [1.0, 0.9]})
 
 
+@pytest.mark.evidence
 def test_a_picture_of_several_links_has_their_traffic_and_the_share_of_each() -> None:
     """One panel: the points lie at the priced sum of the rates. The strip below has a region for each link."""
     found = taciturn.tradeoff(taciturn.load("remote-scalar"), {"zeta": [1.3, 8.0]}, standard_error=0.05)

@@ -83,6 +83,7 @@ def test_costs_that_count_differently_are_not_in_one_grid() -> None:
         sweep(load("lossy-double-integrator"), {"cost.horizon": [100, None]}, steps=2000)
 
 
+@pytest.mark.evidence
 def test_a_cell_is_the_same_in_every_grid(whole: xarray.Dataset) -> None:
     """Reversed, and alone; another seed gives other draws."""
     turned = {name: values[::-1] for name, values in GRID.items()}

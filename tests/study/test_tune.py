@@ -69,6 +69,7 @@ def test_the_standard_error_of_the_parameter_is_its_spread() -> None:
     assert 0.4 < spread / claimed < 1.8
 
 
+@pytest.mark.evidence
 def test_a_controller_may_cost_less_than_with_every_sample() -> None:
     """So a budget may be below that cost."""
     found = tune(taciturn.load("pid-tank"), cost="-5%", standard_error=3e-5)
@@ -198,6 +199,7 @@ def test_a_held_input_is_tuned_to_a_cycle_of_intervals() -> None:
         tune(problem, cost=0.7)
 
 
+@pytest.mark.evidence
 def test_jumps_of_a_schedule_have_two_sides() -> None:
     """The variance of a random walk grows in steps: rates are 1/k."""
     walk = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "variance", {"threshold": 1.0})
@@ -224,8 +226,13 @@ def test_links_have_knobs_of_their_own() -> None:
     ("problem", "budget", "words"),
     [
         pytest.param(MASSES, {"rate": 0.05}, "the rate ranges from 0.20", marks=pytest.mark.evidence),
-        (MASSES, {"cost": 10.0}, "expected a cost within this range"),
-        (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "the rate ranges from 0.58"),
+        pytest.param(MASSES, {"cost": 10.0}, "expected a cost within this range", marks=pytest.mark.evidence),
+        pytest.param(
+            MASSES.changed({"trigger": "separate"}),
+            {"rate": 0.3},
+            "the rate ranges from 0.58",
+            marks=pytest.mark.evidence,
+        ),
         (MASSES, {}, "expected exactly one budget"),
         (MASSES, {"rate": 0.3, "cost": 1.0}, "expected exactly one budget"),
         (MASSES, {"rate": -0.3}, "rate is -0.3"),

@@ -226,6 +226,7 @@ def test_a_loop_without_a_stationary_distribution_is_refused_in_one_sentence(loo
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.evidence
 def test_a_state_that_follows_a_wandering_disturbance_is_refused_and_an_output_at_its_set_point_is_not() -> None:
     """The first state compensates the disturbance of the second, whose set-point is kept."""
     base = Plant([[0.9, 0.0], [0.2, 0.8]], [[1.0], [0.0]], 0.01 * np.eye(2), [[0.0, 1.0]], [[0.01]])
@@ -237,6 +238,7 @@ def test_a_state_that_follows_a_wandering_disturbance_is_refused_and_an_output_a
         violations(loop, Limits([[1.0, 0.0]], high=[1.0]), steps=200_000)
 
 
+@pytest.mark.evidence
 def test_limits_are_in_the_units_of_a_plant_with_an_operating_point() -> None:
     """The same draws at another place give the same probabilities."""
     found: list[Violation] = []

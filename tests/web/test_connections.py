@@ -108,6 +108,7 @@ def test_the_oldest_of_the_heaviest_address_makes_room(page: Small) -> None:
                 assert are_open(same[1:]) == PER_ADDRESS - 2
 
 
+@pytest.mark.evidence
 def test_a_request_has_one_deadline(page: Small, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that sends a byte now and then is closed when it is over, in the header and in the body."""
     monkeypatch.setattr(connections, "PATIENCE", 0.3)
@@ -159,6 +160,7 @@ def test_seats_are_limited_and_become_free(page: Small, monkeypatch: pytest.Monk
         assert time.monotonic() < end, "the seat is still taken"
 
 
+@pytest.mark.evidence
 def test_clients_that_go_away_or_break_the_rules_leave_no_trace(
     page: Small, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
