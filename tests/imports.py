@@ -26,6 +26,12 @@ def tree(path: Path) -> ast.Module:
 
 
 @cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Return all nodes of the syntax tree of a file, walked once."""
+    return tuple(ast.walk(tree(path)))
+
+
+@cache
 def homes() -> dict[str, str]:
     """Return the module of each name that ``taciturn`` imports when it is asked for, also of the packages beside it."""
     text = (ROOT / "src" / "taciturn" / "__init__.py").read_text(encoding="utf-8")
@@ -49,7 +55,7 @@ def file_of(module: str) -> Path | None:
 def imported(path: Path) -> frozenset[Path]:
     """Return the files that a file imports itself, those that its strings name as modules included."""
     names = set[str]()
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

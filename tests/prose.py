@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 
+from imports import nodes
+
 ROOT = Path(__file__).parent.parent
 TERMS = {  # pattern: what a control engineer's textbook says instead
     r"(?<![-._\w])(?<!wall )clocks?\b(?![:=.(_])": "periodic (time-triggered) control",
@@ -61,7 +63,7 @@ def blocks(path: Path) -> Iterator[tuple[int, str]]:
         cells = json.loads(text)["cells"]
         text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
     if path.suffix == ".py":
-        for node in ast.walk(ast.parse(text)):
+        for node in nodes(path):
             if isinstance(node, ast.JoinedStr):
                 said = "".join(part.value if isinstance(part, ast.Constant) else "0" for part in node.values)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):

@@ -12,7 +12,7 @@ from types import FrameType
 
 import pytest
 import xarray
-from imports import tree
+from imports import nodes
 
 import taciturn
 from taciturn import ProblemError, load
@@ -208,7 +208,7 @@ def test_no_module_opens_a_file_of_the_user_by_itself() -> None:
     found = set[str]()
     openers = re.compile(r"(^|\.)(open|loadtxt|genfromtxt|fromfile|loadmat|load)$|\.read_(text|bytes)$")
     for path in SOURCE.glob("taciturn*/**/*.py"):
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if not isinstance(node, ast.Call) or path.name == "_files.py":
                 continue
             name = f".{node.func.attr}" if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from imports import tree
+from imports import nodes, tree
 
 import taciturn
 import taciturn.extend
@@ -54,7 +54,7 @@ def part(module: str) -> str:
 def imports(path: Path) -> list[str]:
     """Return the modules of this package that a file imports, wherever in the file; other ways in are refused."""
     found: list[str] = []
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -88,7 +88,7 @@ def private_imports(folder: Path) -> list[str]:
     """Return every import of a private module or name of another package in a folder, as sentences."""
     wrong: list[str] = []
     for path in sorted(folder.rglob("*.py")):
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] != folder.name:
                 names = [*node.module.split("."), *(alias.name for alias in node.names)]
                 if names[0].startswith("taciturn") and any(
@@ -161,7 +161,7 @@ def circles(source: Path) -> list[str]:
     files = {name.removesuffix(".__init__"): path for name, path in files.items()}
     uses: dict[str, set[str]] = {}
     for name, path in files.items():
-        stated = [node for node in ast.walk(tree(path)) if isinstance(node, ast.ImportFrom)]
+        stated = [node for node in nodes(path) if isinstance(node, ast.ImportFrom)]
         parts = [(str(node.module), f"{node.module}.{one.name}") for node in stated for one in node.names]
         uses[name] = {whole if whole in files else module for module, whole in parts} - {name}
     for _ in files:  # what uses nothing that is left is in no circle
@@ -222,7 +222,7 @@ def test_no_function_takes_anything() -> None:
     """No ``**kwargs`` but those of a function that is wrapped, with its types, and no module named after nothing."""
     for path in SOURCE.parent.rglob("*.py"):
         assert path.stem not in {"utils", "helpers", "manager", "config", "common", "misc"}, path
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef | ast.Lambda):
                 given = node.args.kwarg
                 typed = given is not None and isinstance(given.annotation, ast.Attribute)  # P.kwargs of a ParamSpec
@@ -295,7 +295,7 @@ def test_only_its_own_file_names_a_kind() -> None:
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Constant) and node.value in kinds and path.stem.replace("_", "-") != node.value:
                 found.add((place, str(node.value)))
     assert found <= about
