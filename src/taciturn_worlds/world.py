@@ -245,8 +245,9 @@ class World:
         self._fates = {
             link: fate for link, fate in losses(loop.network, seed, None, policy.tick, 1.0).items() if fate.late
         }
-        self.lag = {
-            link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
+        self.lag = {  # nobody listens on a link on which a schedule never sends
+            link: Node(policy, receiver_of(policy, link), network=loop.network).listens.get(link, 0)
+            for link in self.links
         }
         used = self._paths()
         if keyed:  # challenges travel against packets

@@ -192,9 +192,10 @@ def world_of_faults(problem: Problem, found: Evaluation, seed: int, folder: Path
     stepping(problem)
     if problem.cost.mission:
         raise SkippedError("a horizon or a discount")
-    or_refused_if_late(problem, lambda: run_world(problem, seed % 10_000, []))
     if any(rate.value < RARE * (found.base_rate or 1.0) for rate in found.rates.values()):
         raise SkippedError("a link that may be silent for longer than a world waits")
+    if problem.network.late:
+        or_refused_if_late(problem, lambda: run_world(problem, seed % 10_000, []))
     run = run_world_with_devices(problem, seed % 10_000)
     if run.broken is None:
         return None

@@ -17,6 +17,7 @@ from runtime.seeded import of_seed, problem
 from runtime.test_nodes import TANKS
 
 import taciturn
+from taciturn.errors import ProblemError
 from taciturn.problem import parse
 from taciturn_worlds.devices import compile_devices
 from taciturn_worlds.faults import Crash, Fault, Forgery, Jump, KeyChange, Loss, Pause, Recording, Replay
@@ -161,6 +162,13 @@ def test_a_sensor_and_an_integrating_controller_agree_after_every_fault(policy: 
     """An integral keeps a difference for ever: a sensor that decides on the controller's state sends this state."""
     found = run_world(parse({**INTEGRATING, "policy": {**policy, "link": "sensor"}}, "an integrating controller"), seed)
     assert found.broken is None
+
+
+def test_a_sensor_that_is_never_queried_has_no_world() -> None:
+    """Its controller hears nothing, so there is nothing to watch."""
+    unheard = {"plant.A": [[0.5]], "plant.covariance": None, "zeta": 100.0}
+    with pytest.raises(ProblemError, match="a watchdog is given for the controller, which receives no packets"):
+        run_world(problem("remote-scalar").changed(unheard), 1, [])
 
 
 @pytest.mark.evidence
