@@ -105,6 +105,7 @@ def late_excess(
         raise UnstableError(f"{error}{base.sooner()}") from None
     loop, found, nodes, problem = closed.loop, closed.found, closed.nodes, closed.loop.problem
     J = found.cost - problem.noise_cost
+    # where the fourth moments grow, z'Ψz has no variance, and no measured rate or cost has an error
     price, fourth = price_at(J), fourth_growth(found)
     cuts = (0.0,) if closed.pieces is None else closed.pieces.cuts
     flight = network.controller, nodes, found, cuts, price, closed.state, HELD
@@ -123,6 +124,7 @@ def late_excess(
         fourth=fourth,
         periodic=PeriodicPackets(base, closed) if len(nodes.links) == 1 else None,
     )
+    # the growth is that of second moments, so of costs; the filter's modes are those of the state itself
     settling = max(1 / (1 - found.growth), 1 / (1 - problem.filter().slowest))
     nominal = Nominal(problem, J, settling, disturbance=loop.disturbance)
     begun = loop.point.begun(steps, initial, {one.node: one.rows for one in nodes.all})
@@ -166,6 +168,7 @@ class _ActuatorSteps(FlightSteps):
         if not plant.full_state:
             effects = [plant.B] if self.pieces is None else np.split(self.pieces.B, self.count, axis=1)
             rest.append(Assign(at, "prior", {ESTIMATE: plant.A, **dict(zip(self.pieced, effects, strict=True))}))
+        # the input that acts at the end of the period, which is held until a newer packet arrives
         rest.append(Assign(at, HELD, {self.pieced[-1]: unit}))
         if given is not None and len(given.controller.A):
             c = given.controller
@@ -211,6 +214,7 @@ class _ActuatorSteps(FlightSteps):
         for age in range(depth, 0, -1):
             rest.append(Assign(at, self.sent[age - 1], {self.sent[age - 2] if age > 1 else LAST: unit}))
         rest += [self.by_set(LAST, COMMAND), *self.tried()]
+        # the memories are one step old: the state before the first, from which A and the inputs lead to the mean
         begun = plant.mean - plant.B @ given.point.before
         first: Array = np.asarray(np.linalg.lstsq(plant.A, begun, rcond=None)[0], dtype=np.float64)
         initial: dict[str, Array] = {ESTIMATE: first}
@@ -225,6 +229,7 @@ class _ActuatorSteps(FlightSteps):
         """Return the function that weighs the outcomes of the last step."""
         found, nodes, plant = self.found, self.nodes, self.problem.plant
         steady, n = self.problem.filter(), len(found.chain.plant.noise)
+        # a history that holds lets the innovations be those of the filter; set-points tell nothing of it
         S = steady.innovation[: plant.sensed, : plant.sensed]
         if np.linalg.eigvalsh(S)[0] <= LEAST_NOISE * np.trace(S):
             raise ProblemError(
@@ -242,6 +247,7 @@ class _ActuatorSteps(FlightSteps):
             for mode, outcomes in zip(self.modes(), steps, strict=True):
                 for one in outcomes:
                     motion, fractions = one.motion, np.array(one.motion.fractions)
+                    # which of the inputs of this outcome acts in each piece of the period
                     acts = [int((fractions <= cut + WHOLE).sum()) for cut in self.cuts]
                     moved = effects @ np.vstack([motion.inputs[i][:, n:] for i in acts])
                     kept = np.hstack([motion.problem.A[n:, n:], motion.problem.B[n:]])

@@ -76,11 +76,12 @@ def late_measurements(
     problem, controller = loop.problem, loop.controller
     base, drawn = sensor_base(problem, controller), network.random_delay(LINK, problem.tick)
     assert drawn is not None, "the link delays packets at random"
-    heard = drawn.at_steps()
+    heard = drawn.at_steps()  # the controller runs once per step, so a part of a period is a whole one
     delays = delays_of(heard, network, LINK)
     n, q = base.Gamma.shape
     stage = np.split(base.stage, [n])
     (Q, N), (_, R) = (np.split(rows, [n], axis=1) for rows in stage)
+    # the measurement that the controller holds is to this loop what the held input is to that over an actuator's link
     held = discrete_periods(base.Phi, base.Gamma, Q, R, N, base.noise)
     found = late_value(chain_of(held, np.hstack([base.K, np.zeros((q, q))]), delays), loop.remedy)
     price, fourth = price_at(found.cost), fourth_growth(found)
@@ -137,7 +138,7 @@ class _SensorSteps(FlightSteps):
             before.append(Assign(at, REGISTER, {NEXT: own}))
         before += self.in_flight_decisions()
         watched = self.watched()
-        first = plant.C @ plant.mean
+        first = plant.C @ plant.mean  # what the controller uses until it hears a packet
         initial = {**estimation.initial, **watched.initial, KNOWN: first, USED: first}
         if k:
             initial |= dict.fromkeys((NEXT, "state"), self.given.point.start)

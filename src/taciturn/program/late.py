@@ -125,7 +125,7 @@ class Ring:
             last = len(self.codes)
         else:  # the last delay is drawn if no earlier one is
             last, found = len(self.codes) - 1, b.constant(self.codes[-1])
-        for place in reversed(range(last)):
+        for place in reversed(range(last)):  # the first limit above the random number decides, so it is applied last
             limits = [float(row[place]) for row in sums]
             limit = limits[0] if len(limits) == 1 else b.lookup(limits, tick.link_states[self.link])
             found = b.choose(b.greater(limit, uniform), b.constant(self.codes[place]), found)
@@ -191,7 +191,7 @@ class Ring:
             here = self.acted(age, self.pieces - 1)
             newer = here if self._every else b.either(newer, here)
             code = self.arrivals[age]
-            gone = b.either(newer, b.greater(code, NEVER / 2))
+            gone = b.either(newer, b.greater(code, NEVER / 2))  # also where steps were subtracted from NEVER
             tick.signals[self._arrival(age + 1)] = [b.choose(gone, never, b.emit("add", code, step))]
             for name, values in self.payload.items():
                 tick.signals[stored(self.link, name, age + 1)] = values[age]
