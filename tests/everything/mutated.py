@@ -31,6 +31,7 @@ from taciturn.problem import Problem
 TICKS = 60
 EPOCH = 5  # of the senders
 STRANGE = (math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 3.5e38, LARGEST, -LARGEST, 1e300, 5e-324, -0.0)
+REPORTED = ("report", "mode")  # answers to an operator; in Python the server of a node gives them, not the node
 COUNTED = ("received", "used", "late", "replayed", "ahead", "duplicate", "misdirected", "superseded", "overflowed",
            "malformed", "corrupted", "foreign")  # fmt: skip
 
@@ -152,4 +153,5 @@ def blocks(lines: list[str], wire: Wire) -> Iterator[Block]:
         else:
             packet = wire.decode(bytes.fromhex(line))
             assert isinstance(packet, Packet), f"a node in C sends a {packet} packet"
-            sent.append(packet._replace(sequence=0))
+            if packet.kind not in REPORTED:
+                sent.append(packet._replace(sequence=0))

@@ -6,12 +6,14 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from catalogue import KEEPING
 from counts import few
+from export.devices import Device, compile_node, needs_compiler
 from runtime.test_missing import PLANT, filter_and_gain, problem
 from runtime.test_operator import SECRET, Tapped, running, tank
 from typer.testing import CliRunner
@@ -19,10 +21,10 @@ from typer.testing import CliRunner
 import taciturn
 from taciturn import Nodes, Problem, ProblemError
 from taciturn.cli import app
-from taciturn.model.packets import inputs_at, outputs_at, roles
+from taciturn.model.packets import inputs_at, outputs_at, packet_shapes, roles
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.node import Node
-from taciturn.nodes.packet import Packet
+from taciturn.nodes.packet import Packet, Wire
 from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import parse
 from taciturn_udp.operator import Operator
@@ -135,6 +137,18 @@ def test_nodes_in_c_are_operated_by_hand_as_those_in_python(name: str) -> None:
     assert device.manual == (0.25,) * loop.policy.model.inputs
     with pytest.raises(ProblemError, match="manual"):
         device.manual = [1e39] * loop.policy.model.inputs
+
+
+def test_a_node_in_c_hears_an_operator(tmp_path: Path) -> None:
+    """It reads each kind of packet of a policy with an operator; packets by hand counted as malformed."""
+    policy = tank().design()
+    needs_compiler()
+    device, wire = Device(compile_node(policy, "controller", policy.network, tmp_path)), Wire(policy)
+    shapes = packet_shapes(policy, policy.network)
+    assert {kind for kind, _ in shapes} >= {"setpoint", "report", "manual", "mode"}
+    for (kind, link), (_, entries) in shapes.items():
+        packet = Packet(kind, link, 3, 1, (0.5,) * entries, 2, 0)
+        assert device.decode(wire.encode(packet)) == packet
 
 
 @pytest.mark.parametrize("limit", [None, 0.4])

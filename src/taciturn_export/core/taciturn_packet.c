@@ -5,7 +5,7 @@
 #include "taciturn_parts.h"
 
 enum { HEADER_SIZE = 32, CRC_SIZE = 4, TAG_SIZE = 16, LEAST_KEY = 16, MOST_KEY = 32 };
-enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 9, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
+enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = (int)TAC_MODE + 1, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
 enum { AT_SEQUENCE = 0, AT_VERSION = 4, AT_KIND = 5, AT_LINK = 6, AT_ENCODING = 7, AT_LOOP = 8, AT_ENTRIES = 10 };
 enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 enum { ANY_LINK = 255, ANY_POLICY = 0 }; /* in the challenge of an operator, who learns them from the answer */
