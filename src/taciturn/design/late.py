@@ -84,12 +84,22 @@ def late_excess(
     best: bool = False,
 ) -> Policy:
     """Return the policy that sends iff silence costs more than the price, over links with random delays and losses."""
-    told = network.lateness(acknowledged_links(network)[0])
+    links = acknowledged_links(network)
+    risky = [link for link in links if network.loss(link) > 0 or link in network.late]
+    # the plant shows the mean of random delays too, and then what is certain apart from it
+    delayed = plant.transport is not None and (not network.late or plant.transport.certain is not None)
+    if delayed and not risky:
+        raise ProblemError(
+            f"{' and '.join(network.key(link, 'acknowledged') for link in links)}: acknowledgements are given together "
+            "with a constant delay, although every packet arrives at a known time; expected no acknowledgements: "
+            "remove them, and the design knows each delay"
+        )
+    first = (risky or links)[0]
+    told = network.lateness(first) if first in network.late else f"{network.lost(first)} is given"
     refused = {
         "the cost has a horizon or a discount; expected an average cost": cost.mission,
         "plant.D is given; expected outputs without a direct feedthrough": plant.D is not None,
-        "another link has a constant delay; expected no other delay": plant.transport is not None
-        and plant.transport.certain is not None,
+        "another link has a constant delay; expected no other delay": delayed,
     }
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{told}, with acknowledgements, and {got}, or a link without acknowledgements")

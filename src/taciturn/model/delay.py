@@ -123,17 +123,18 @@ class DelayLaw(Displayed):
     def losses(self, buffer: Wait, loss: float, burst: LossLaw | None) -> float | LossLaw:
         """Return the losses of a link whose receiver plays packets out after ``buffer``, with its own losses.
 
-        The packets of a trace that are lost or late form a Gilbert–Elliott chain. Its probabilities are shares of the
-        trace: of these packets after one that came, and of packets that came after one of these.
+        The packets of a trace that are lost or late form a Gilbert–Elliott chain, fitted to the trace: its probabilities
+        are the shares of these packets after one that came, and of packets that came after one of these.
         """
         late = self.later_than(buffer)
         if self.sequence and any(late) and burst is None:
             most = (buffer.seconds if self.in_seconds else float(buffer.steps)) * (1 + WHOLE)
             gone = np.array([wait == len(self.waits) or self.waits[wait] > most for wait in self.sequence])
-            after = gone[1:][gone[:-1]], gone[1:][~gone[:-1]]  # of a packet after one that is gone, or that came
-            stays, begins = (float(one.mean()) if one.size else 0.0 for one in after)
-            if begins > 0.0 and stays < 1.0:
-                return Burst(begins, 1.0 - stays, loss, 1.0)
+            if not gone.all():
+                # after the last packet comes the first, as in a replay: so an outage at either end is one burst, and
+                # the chain loses the share that the trace loses
+                begins = int((gone & ~np.roll(gone, 1)).sum())
+                return Burst(begins / int((~gone).sum()), begins / int(gone.sum()), loss, 1.0)
         if burst is None and len(set(late)) == 1:
             return 1.0 - (1.0 - loss) * (1.0 - late[0])
         if burst is None:

@@ -452,7 +452,8 @@ class Network(Displayed):
             share = law.loss if isinstance(law, LossLaw) else law
             text += f"; {percent(share)} of the samples of {node} are missing"
             text += ", in bursts" if isinstance(law, LossLaw) else ""
-        return text + (f"; numbers as {self.payload}" if self.rounded else "")
+        text += f"; numbers as {self.payload}" if self.rounded else ""
+        return text.removeprefix("; ")
 
     def key(self, link: str, name: str) -> str:
         """Return the key of problem files that states a property of a link."""

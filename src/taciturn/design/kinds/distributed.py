@@ -177,11 +177,8 @@ def distributed(
         plant = promptly(plant, network)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)
-    if lossy and plant.exosystem is not None:
-        raise ProblemError(
-            f"{network.lost(lossy[0])} is given together with disturbances or set-points, and the effect of a dropped "
-            "packet grows with them; expected links that deliver every packet, or neither disturbances nor set-points"
-        )
+    if plant.exosystem is not None:
+        _expect_no_growing_effect(network, lossy, prediction)
     if 0 < len(lossy) <= MOST_LAWS:
         all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
@@ -251,6 +248,23 @@ def _policy(
         else (),
         unsure=any(network.nodes[link].applies and not network.acknowledges(link) for link in lossy),
     )
+
+
+def _expect_no_growing_effect(network: Network, lossy: list[str], prediction: Actuation) -> None:
+    """Raise an error if what late or lost packets do to the loop grows with disturbances or set-points."""
+    for link in network.links:
+        law = network.links[link].delay if link in network.late else None
+        held = law is not None and bool(network.nodes[link].measures) and prediction == "hold"
+        drops = link in lossy or (law is not None and law.loses)
+        if not (drops or held):
+            continue
+        got = f"{network.lost(link)} is given" if law is None else network.lateness(link)
+        remedy = "" if drops else ", prediction = 'model'"
+        raise ProblemError(
+            f"{got}, together with disturbances or set-points, and the effect of a packet that is lost, or late with "
+            f"prediction = 'hold', grows with them; expected links that deliver every packet{remedy}, or neither "
+            "disturbances nor set-points"
+        )
 
 
 def _lossy(network: Network) -> list[str]:
