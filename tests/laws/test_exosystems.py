@@ -284,7 +284,7 @@ def test_what_cannot_be_compensated_or_seen_is_refused(
         ),
         (
             lambda plant: design.distributed(plant, COST, theta=0.1, network=Network("tcp", sensor_loss=0.1)),
-            "network.sensor_loss is given together with disturbances or set-points",
+            "network.sensor_loss is given, together with disturbances or set-points",
         ),
         (
             lambda plant: certify(Problem(plant, COST, Network(), "excess", {"delta": 0.1})),

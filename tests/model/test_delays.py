@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runtime.late import sets
 
-from taciturn import Burst, ProblemError
+from taciturn import Burst, ProblemError, average
 from taciturn.model.delay import DelayLaw, Wait, delay_from, wait_from
 from taciturn.model.link import IDEAL_LINK, LinkLaw
 from taciturn.model.losses import Chain
@@ -446,6 +447,54 @@ def test_delays_that_no_design_supports_are_one_sentence(
     """Before numbers become those of registers, so that a message comes at once."""
     with pytest.raises(ProblemError, match=words):
         parse({**tables, "links": links}, "tank.toml").design()
+
+
+def test_a_trace_loses_in_bursts_at_its_ends_too(tmp_path: Path) -> None:
+    """The first packet follows the last one, as in a replay, so that the chain loses the share of the trace."""
+    for gone in (range(900, 1000), range(100), range(400, 500), (*range(50), *range(950, 1000))):
+        rows = [f"{5 * i},{'' if i in gone else 5}" for i in range(1000)]
+        (tmp_path / "trace.csv").write_text("\n".join(("sent,delay", *rows, "")))
+        played = delay_from("delay", {"trace": str(tmp_path / "trace.csv")}).losses(Wait(0, 10.0), 0.0, None)
+        assert isinstance(played, Burst)
+        assert (played.to_bad, played.to_good) == pytest.approx((1 / 900, 1 / 100))
+        assert played.loss == pytest.approx(0.1)
+
+
+def test_constant_delays_are_known_without_acknowledgements() -> None:
+    """With them, the design of sets of links did not see the delay; next to losses they are refused by name."""
+    problem = sets(**{"links.valve.delay": 2, "links.pump.loss": 0.0})
+    told = "links.valve.acknowledged and links.pump.acknowledged: acknowledgements are given together with a constant"
+    with pytest.raises(ProblemError, match=told):
+        problem.design()
+    quiet = problem.changed({f"links.{link}.acknowledged": None for link in ("valve", "pump")})
+    assert quiet.close(quiet.design()).nominal
+    with pytest.raises(
+        ProblemError, match=r"links\.pump\.loss is given, with acknowledgements, and another link has a"
+    ):
+        sets(**{"links.valve.delay": 2}).design()
+
+
+def test_a_law_that_only_loses_is_a_loss() -> None:
+    """Where the receiver does more than to hold."""
+    tanks = load("quadruple-tank")
+    for link in ("level-1", "pump-1"):
+        law, loss = tanks.changed({f"links.{link}.delay": [0.9]}), tanks.changed({f"links.{link}.loss": 0.1})
+        found = [average(one.close(one.design()), steps=20_000, seed=3).cost for one in (law, loss)]
+        error = np.hypot(found[0].standard_error, found[1].standard_error)
+        assert abs(found[0].value - found[1].value) < 5 * error
+
+
+def test_late_packets_with_set_points_need_a_model() -> None:
+    """Held contributions would leave an offset that grows with the set-point."""
+    tanks = load("quadruple-tank").changed({"reference.value": [1.0, 2.0], "links.level-1.delay": [0.5, 0.5]})
+    assert tanks.close(tanks.design()).violated_assumptions
+    for change, remedy in (
+        ({"prediction": "hold"}, "every packet, prediction = 'model', or neither"),
+        ({"links.level-1.delay": [0.5, 0.4]}, "every packet, or neither"),
+        ({"links.level-1.delay": None, "links.pump-1.loss": 0.1}, "every packet, or neither"),
+    ):
+        with pytest.raises(ProblemError, match=rf"grows with them; expected links that deliver {remedy}"):
+            tanks.changed(change).design()
 
 
 def test_late_packets_are_refused_by_name() -> None:

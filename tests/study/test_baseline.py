@@ -294,3 +294,11 @@ def test_controllers_at_fixed_steps_run_over_links_that_drop_packets(kind: str, 
     if protocol == "tcp":
         attempts = taciturn.load("pid-tank").changed(lossy).design().cost_all_time
         assert found.cost_every_sample.value == pytest.approx(attempts, rel=1e-9)
+
+
+def test_links_with_limits_and_late_packets_have_a_baseline_without_limits() -> None:
+    """It was refused, as if its packets had to keep the limits."""
+    late = {"links.level-1.min_interval": 2, "links.level-1.delay": [0.5, 0.5]}
+    found = taciturn.evaluate(taciturn.load("quadruple-tank").changed(late), standard_error=2e-3)
+    assert found.baseline is not None
+    assert found.baseline.value < found.cost.value

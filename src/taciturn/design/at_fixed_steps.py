@@ -37,6 +37,7 @@ from taciturn.lqg.stored import controller_loop
 from taciturn.model.controller import AnyController
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.signals import SampledChanges
@@ -158,8 +159,11 @@ def pattern_of(intervals: Sequence[int]) -> tuple[bool, ...]:
     return tuple(k == 0 for steps in intervals for k in range(steps))
 
 
-def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:
-    """Replace the decisions of a policy by a repeating timetable of sends. All other computations stay the same."""
+def same_nodes(policy: Policy, sends: Mapping[str, Bits], network: Network | None = None) -> Policy:
+    """Replace the decisions of a policy by a repeating timetable of sends. All other computations stay the same.
+
+    The timetable keeps the limits on the intervals of the ``network``; default: those of the policy.
+    """
     # A decision on several links takes the option that sends on the wanted links, or else on the fewest others. Links
     # on which the policy sends at fixed steps keep these steps, for which its gains may be.
     length = len(next(iter(sends.values())))
@@ -188,17 +192,25 @@ def same_nodes(policy: Policy, sends: Mapping[str, Bits]) -> Policy:
         innovations=innovations,
     )  # fmt: skip
     counter = () if length == 1 else (Location(TIMETABLE, np.roll(np.arange(length), -1)),)
-    return replace(policy, steps=tuple(steps), theory=theory, locations=(*policy.locations, *counter), notes=())
+    return replace(
+        policy,
+        steps=tuple(steps),
+        theory=theory,
+        locations=(*policy.locations, *counter),
+        notes=(),
+        network=network or policy.network,
+    )
 
 
 def sending_always(policy: Policy) -> Policy:
     """Return the policy whose nodes send in every step. Limits on send intervals have no effect on them."""
     links = {step.link for step in policy.steps if isinstance(step, Send)}
-    always = same_nodes(policy, {link: np.ones(1, dtype=np.bool_) for link in sorted(links)})
+    network = policy.network.unlimited
+    always = same_nodes(policy, {link: np.ones(1, dtype=np.bool_) for link in sorted(links)}, network)
     steps = _without_unread(always.steps)
     made = {name for step in steps for name in assigned(step)}
     initial = {name: value for name, value in always.initial.items() if name in made}
-    return replace(always, steps=steps, initial=initial, network=policy.network.unlimited)
+    return replace(always, steps=steps, initial=initial)
 
 
 def _without_unread(steps: tuple[Step, ...]) -> tuple[Step, ...]:

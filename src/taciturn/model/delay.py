@@ -123,8 +123,8 @@ class DelayLaw(Displayed):
     def losses(self, buffer: Wait, loss: float, burst: LossLaw | None) -> float | LossLaw:
         """Return the losses of a link whose receiver plays packets out after ``buffer``, with its own losses.
 
-        The packets of a trace that are lost or late form a Gilbert–Elliott chain, fitted to the trace: its probabilities
-        are the shares of these packets after one that came, and of packets that came after one of these.
+        The packets of a trace that are lost or late form a Gilbert–Elliott chain that is fitted to the trace: its
+        probabilities are the shares of these packets after one that came, and of those that came after one of these.
         """
         late = self.later_than(buffer)
         if self.sequence and any(late) and burst is None:

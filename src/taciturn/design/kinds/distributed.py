@@ -251,7 +251,7 @@ def _policy(
 
 
 def _expect_no_growing_effect(network: Network, lossy: list[str], prediction: Actuation) -> None:
-    """Raise an error if what late or lost packets do to the loop grows with disturbances or set-points."""
+    """Raise an error if the effect of late or dropped packets grows with disturbances or set-points."""
     for link in network.links:
         law = network.links[link].delay if link in network.late else None
         held = law is not None and bool(network.nodes[link].measures) and prediction == "hold"

@@ -207,10 +207,12 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost, netwo
             "the plant is continuous in time, and its sampling gives a cross weight that the policy kind lossy-lqg "
             "does not support; expected a discrete plant: give plant.dt and the matrices of one step"
         )
-    if plant.transport is not None:
+    if plant.transport is not None:  # it shows the mean of random delays too
+        random = (network.lateness(link) for link in network.late if link != "sensor")
         raise PlacementError(
-            "a link has a constant delay, with which the policy kind lossy-lqg would not know the inputs on their way; "
-            "expected links without delay and buffer: remove them (network.delay = 1 delays measurements by one step)"
+            f"{next(random, 'a link has a constant delay')}, with which the policy kind lossy-lqg would not know the "
+            "inputs on their way; expected links without delay and buffer: remove them (network.delay = 1 delays "
+            "measurements by one step)"
         )
     if plant.exosystem is not None or plant.changes is not None:
         raise ProblemError(
