@@ -15,9 +15,10 @@ import scipy.linalg as sla
 from test_kinds import PLANTS, SCALAR, SLOW, costs_of
 
 import taciturn
-from taciturn import PID, Cost, Network, Plant, Problem, ProblemError
+from taciturn import PID, Cost, Network, Plant, Problem, ProblemError, average, close, design
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.model.link import LinkLaw
+from taciturn.model.network import NodeRole
 
 PREDICTING = "a link delays its packets, and the actuator predicts between sampling instants; expected a held input"
 REFUSING = {  # kinds that refuse every constant delay, and the sentence
@@ -184,3 +185,25 @@ def test_losses_next_to_a_delay_are_those_of_a_loop_with_registers(name: str) ->
         assert found.cost.value == pytest.approx(expected.cost.value, rel=1e-9)
         assert found.cost.standard_error == pytest.approx(expected.cost.standard_error, rel=1e-6)
         assert (found.cost_bound is None) == (expected.cost_bound is None)
+
+
+def test_sensors_of_different_delays_predict_a_loop_that_integrates() -> None:
+    """The register of the later output is measured without noise, and the integral leaves a zero on the unit circle."""
+    A, B = np.array([[0.96, 0.03], [0.025, 0.95]]), np.diag([0.08, 0.06])
+    plant = Plant(A, B, np.diag([0.01, 0.015]), np.eye(2), np.diag([0.02, 0.03]), dt=5.0)
+    kept = [PID(1.5, 0.01, input=1, output=1), PID(1.5, 0.01, input=2, output=2)]
+    nodes = {
+        **{f"s{i}": NodeRole(measures=(i,)) for i in range(2)}, "plc": NodeRole(controls=True),
+        **{f"v{i}": NodeRole(applies=(i,)) for i in range(2)},
+    }  # fmt: skip
+    network = Network(nodes=nodes, links={"s0": LinkLaw(delay=1)})
+    rates = dict[str, float]()
+    for prediction in ("hold", "model"):
+        policy = design.distributed(
+            plant, Cost(np.eye(2), 0.05 * np.eye(2)), theta=0.3, controller=kept, prediction=prediction, network=network
+        )
+        found = average(close(plant, policy, network), steps=20_000)
+        assert policy.guarantee is not None
+        assert found.cost.value < policy.guarantee.cost
+        rates[prediction] = sum(found.rates[link].value for link in ("s0", "s1"))
+    assert rates["model"] < rates["hold"]

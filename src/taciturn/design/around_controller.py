@@ -28,6 +28,7 @@ from taciturn._display import Displayed
 from taciturn.base.filter import ESTIMATE, HELD
 from taciturn.base.response import EverySample
 from taciturn.base.route import nonempty
+from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.controller import Controller
@@ -39,6 +40,7 @@ from taciturn.model.trigger import Matrix
 LAST, HEARD, REGISTER, INNOVATION, PRIOR = "last", "heard", "register", "innovation", "prior"
 REMEMBERED = 0.999  # factor per step of a mode that never decays, in the filter of one sensor
 LASTING = 1e-6  # distance of the modulus of such a mode from 1
+SLIGHT = 1e-3  # variance of a noise that is added to outputs without one, as a share of what W adds to them in a step
 
 
 class Rule(Protocol):
@@ -437,5 +439,13 @@ def _local_gain(model: Model, rows: list[int]) -> Array:
     The noise of the outputs moves the loop too. It counts as further noise of the loop: a sensor that took its outputs
     for those that the controller uses would follow a controller that hears everything, whose integral is another one.
     """
-    C, V = model.C[rows], model.V[np.ix_(rows, rows)]
-    return steady_filter(_remembered(model.F), C, model.W, V).gain
+    C, F, V = model.C[rows], _remembered(model.F), model.V[np.ix_(rows, rows)]
+    try:
+        return steady_filter(F, C, model.W, V).gain
+    except UnstableError:
+        # outputs without noise, as those of a register, may have a zero on the unit circle: a little noise lets the
+        # estimate forget it, and any estimate that both ends share will do
+        seen = C @ model.W @ C.T
+        if not seen.diagonal().min() > 0:
+            raise
+        return steady_filter(F, C, model.W, V + SLIGHT * np.diag(seen.diagonal())).gain
