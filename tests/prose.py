@@ -58,10 +58,6 @@ EXCEPT = {  # (files, the pattern's suggestion): why
 
 def blocks(path: Path) -> Iterator[tuple[int, str]]:
     """Every paragraph, docstring and message of a file, with the line where it begins."""
-    text = path.read_text(encoding="utf-8")
-    if path.suffix == ".ipynb":
-        cells = json.loads(text)["cells"]
-        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
     if path.suffix == ".py":
         for node in nodes(path):
             if isinstance(node, ast.JoinedStr):
@@ -75,6 +71,10 @@ def blocks(path: Path) -> Iterator[tuple[int, str]]:
                 for paragraph in re.split(r"\n\s*\n", said):
                     yield node.lineno, paragraph
         return
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
     text = re.sub(r"^(```|~~~).*?^\1", lambda found: "\n" * found[0].count("\n"), text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"\A---\n.*?\n---\n", lambda found: "\n" * found[0].count("\n"), text, flags=re.DOTALL)
     line = 1

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, frozen, quoted
+from taciturn.extend import Array, frozen, number_of, quoted
 from taciturn_delays.reading import Reading, ordered
 from taciturn_delays.tables import Table, read_table
 
@@ -98,8 +98,7 @@ def _of_link(table: Table, rows: list[int], link: str) -> Reading:
             f"the file {str(table.path)!r} has only rows sent of the link {quoted(link)}; expected rows delivered, "
             "late or lost as well: add the log of the receiver to the record"
         )
-    packets = "1 packet without an outcome counts" if unknown == 1 else f"{unknown} packets without an outcome count"
-    notes = (f"{packets} as lost",) if unknown else ()
+    notes = (f"counted as lost: {number_of(unknown, 'packet')} without an outcome",) if unknown else ()
     return ordered(f"packets of the link {link}", np.array(sent), np.array(elapsed), "one way", 0, notes)
 
 

@@ -176,6 +176,7 @@ class LateBase(Displayed):
         whole = any(not law.in_seconds for law in late.values())
         unit = 1.0 if whole else 1.0 / PARTS  # in periods
         most = max((law.in_periods(tick).waits[-1] for law in late.values()), default=0.0)
+        # bisected, as if stability were monotone: the answer is a hint in a message, and it was tried
         low, high = 0, int(np.ceil(most / unit))  # numbers of units: unstable, and perhaps stable
         if not high or not self._settles(late, high * unit, tick):
             return ""

@@ -83,6 +83,7 @@ class LateBelief(Displayed):
         weights: list[Any] = [0.0] * len(self.start)
         for mode, sent, pieces, after, chance in self.ways:
             weights[after] = weights[after] + chance * seen[sent, pieces] * belief[mode]
+        # packets may arrive that no history explains, as in real time: then the belief begins anew
         total = sum(weights)
         share = np.where(total > 0.0, total, 1.0)
         pairs = zip(weights, self.start.tolist(), strict=True)

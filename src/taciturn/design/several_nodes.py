@@ -182,13 +182,12 @@ class ContributionSteps(Displayed):
         """
         n, model, part, local = np.eye(self._plant.states), f"{copy}_model_{node}", f"part_{node}", f"local_{node}"
         moves, closed = self._left @ self._plant.A, closed_loop(self.certainty)
+        models = [{local: np.linalg.matrix_power(closed, age)} for age in range(oldest + 1)]
         parts: list[dict[str, Array]] = [{part: n}]
-        models: list[dict[str, Array]] = [{local: n}]
-        for _ in range(oldest):
-            models.append({local: closed @ models[-1][local]})
+        for foreseen in models[1:]:
             parts.append({name: moves @ matrix for name, matrix in parts[-1].items()})
             if self.prediction == "model":
-                parts[-1][local] = parts[-1].get(local, 0.0) + self._measured(node) @ models[-1][local]
+                parts[-1][local] = parts[-1].get(local, 0.0) + self._measured(node) @ foreseen[local]
         steps = (Assign(at, f"{copy}_{node}", ({expected: n}, *parts), on),)
         if self.prediction == "hold":
             return steps

@@ -173,13 +173,13 @@ def distributed(
     joint = False if joint is None else joint
     network = network or IDEAL
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
-    if actuation == "model":
+    if actuation == "model":  # the actuators make up for random delays themselves
         plant = promptly(plant, network)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)
     if plant.exosystem is not None:
         _expect_no_growing_effect(network, lossy, prediction)
-    if 0 < len(lossy) <= MOST_LAWS:
+    if 0 < len(lossy) <= MOST_LAWS:  # the second moments need a law for each set of links that deliver
         all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)

@@ -182,7 +182,7 @@ def excess(
             f"plan is {plan}; expected actuation = 'hold', which holds the last input of the plan, link = 'actuator' "
             "without acknowledged losses, every = 1, gains = 'lqg' and no retry or controller to keep; or no plan"
         )
-    if plan or actuation == "model":
+    if plan or actuation == "model":  # the actuator makes up for the age of packets itself
         plant = promptly(plant, links)
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":

@@ -117,7 +117,7 @@ def lossy_lqg(
             "a reference trajectory is given without cost.horizon; expected cost.horizon as well, because the "
             "trajectory is finite"
         )
-    network = links.without_bursts()
+    network = links.without_bursts()  # the gains are for independent losses; bursts withdraw the claim, not the design
     channel = Channel(
         network.loss("actuator"),
         network.loss("sensor"),
@@ -130,6 +130,7 @@ def lossy_lqg(
     channel = channel if samples is None else samples.channel
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
+    # a state that costs nothing may grow without making the loop unstable
     seen = worth_of(Quadratic(plant.A, plant.B, cost.Q, cost.R, cost.N)).states
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
